@@ -1,0 +1,46 @@
+"""The values that every part of doojax exchanges.
+
+Units are metres, radians, seconds and kilograms; the world frame has z up; quaternions are (w, x, y, z).
+Every class is a pytree of arrays whose leading axes ``*b`` are batch axes: write a function for one element
+and batch it with `jax.vmap`.
+"""
+
+from enum import IntEnum
+
+import equinox as eqx
+from jax import Array
+from jaxtyping import Bool, Float, Int
+
+
+class RopeState(eqx.Module):
+    """What a planner or a learner sees of the world: points along the rope and the grippers' positions."""
+
+    points: Float[Array, "*b N 3"]  # world frame, metres; index 0 is the rope's first link
+    grippers: Float[Array, "*b G 3"]  # world frame, metres
+
+
+class ShapeKind(IntEnum):
+    """How `Obstacles.half_size` is read."""
+
+    BOX = 0  # half extents along the body's x, y, z
+    CAPSULE = 1  # (radius, radius, half length of the straight part), along z
+    CYLINDER = 2  # (radius, radius, half height), along z
+
+
+class Obstacles(eqx.Module):
+    """A fixed number M of rigid primitives; unused or parked ones have ``active`` false."""
+
+    kind: Int[Array, "*b M"]  # a ShapeKind
+    centre: Float[Array, "*b M 3"]  # world frame, metres
+    quaternion: Float[Array, "*b M 4"]  # body to world, unit, (w, x, y, z)
+    half_size: Float[Array, "*b M 3"]  # metres, see ShapeKind
+    active: Bool[Array, "*b M"]
+
+
+class Trajectory(eqx.Module):
+    """T control periods: T + 1 states and the T actions between them."""
+
+    states: RopeState  # points [*b, T+1, N, 3], grippers [*b, T+1, G, 3]
+    actions: Float[Array, "*b T G 3"]  # gripper displacements, metres
+    faults: Int[Array, "*b T"]  # bit set of doojax.simulation.Fault, per control period
+    contact: Bool[Array, "*b T"]  # did rope or gripper touch an obstacle in that period
