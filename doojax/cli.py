@@ -1,0 +1,124 @@
+"""The `doojax` command: it finds the function behind a command's name and lets tyro make its command line.
+
+A command is a plain typed function with a docstring. To add one, write a line in `COMMANDS`; the function's
+module is imported only when its command is run.
+"""
+
+import difflib
+import importlib
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+import doojax
+
+# A command's name -> ("module:function", one line of help), or (a table of its own, one line of help).
+type Commands = Mapping[str, tuple[str | Commands, str]]
+
+BENCHMARKS: Commands = {}
+
+COMMANDS: Commands = {
+    "report": ("doojax.experiments.tables:report", "write the tables of README and docs from results/"),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return the exit status: 0, 2 for bad input, 130 when interrupted.
+
+    Bad input (a ValueError, an OSError or a missing optional package, raised by the command) is reported in
+    one line; with `--traceback` anywhere among the arguments it is raised as it is.
+
+    Args:
+        argv: the arguments after the program's name; those of this process by default.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    with_traceback = "--traceback" in arguments
+    arguments = [argument for argument in arguments if argument != "--traceback"]
+
+    # An environment variable, because it needs no import of jax here and reaches worker processes.
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path("~/.cache/doojax/jax").expanduser()))
+    try:
+        status = run(arguments, COMMANDS, "doojax")
+        sys.stdout.flush()
+        return status
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return 130
+    except BrokenPipeError:  # the reader of our output, such as `head`, has gone: nothing is left to say
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        if with_traceback:
+            raise
+        complain(f"error: {explain(error)}")
+        return 2
+
+
+def run(arguments: Sequence[str], commands: Commands, program: str) -> int:
+    """Run the command that the first argument names, looking into nested tables."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        show(commands, program)
+        return 0
+    name, *rest = arguments
+    if name == "--version" and program == "doojax":
+        print(f"doojax {doojax.__version__}")
+        return 0
+    if name not in commands:
+        raise ValueError(unknown(name, commands, program))
+    target, _ = commands[name]
+    program = f"{program} {name}"
+    if not isinstance(target, str):
+        return run(rest, target, program)
+
+    function = load(target)
+    import tyro  # here, so that the list of commands appears at once
+
+    tyro.cli(function, args=rest, prog=program)
+    return 0
+
+
+def load(target: str) -> Callable[..., object]:
+    """The function that "module:function" names."""
+    module, _, function = target.partition(":")
+    return getattr(importlib.import_module(module), function)
+
+
+def show(commands: Commands, program: str) -> None:
+    """Print the commands of one table."""
+    table = Table(title=f"{program} COMMAND ...", title_justify="left", show_header=False, box=None)
+    for name, (target, text) in commands.items():
+        nested = "" if isinstance(target, str) else f" ({', '.join(target)})"
+        table.add_row(f"[bold cyan]{name}[/]", escape(text + nested))
+    console = Console()
+    console.print(table)
+    console.print(
+        f"\n{program} COMMAND --help lists the options of one; --traceback shows where an error arose."
+    )
+
+
+def unknown(name: str, commands: Commands, program: str) -> str:
+    """What to say about a command that does not exist."""
+    close = difflib.get_close_matches(name, commands, n=1)
+    hint = f" Did you mean {close[0]!r}?" if close else ""
+    return f"{program} has no command {name!r}.{hint} It has: {', '.join(commands)}."
+
+
+def explain(error: Exception) -> str:
+    """An error's message in words that need no knowledge of Python."""
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return str(error) or type(error).__name__
+
+
+def complain(text: str) -> None:
+    """Print one red line on the standard error."""
+    Console(stderr=True, soft_wrap=True).print(f"[red]doojax: {escape(text)}[/]", highlight=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
