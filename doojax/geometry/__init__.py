@@ -1,1 +1,32 @@
-"""geometry."""
+"""Pure functions of shapes and curves: distances, voxels, polylines, frames."""
+
+from doojax.geometry.curves import arc_lengths as arc_lengths
+from doojax.geometry.curves import catenary as catenary
+from doojax.geometry.curves import clamped_elastica as clamped_elastica
+from doojax.geometry.curves import curvatures as curvatures
+from doojax.geometry.curves import resample as resample
+from doojax.geometry.curves import turning_angles as turning_angles
+from doojax.geometry.frames import quaternion_from_yaw as quaternion_from_yaw
+from doojax.geometry.frames import quaternion_inverse as quaternion_inverse
+from doojax.geometry.frames import quaternion_multiply as quaternion_multiply
+from doojax.geometry.frames import quaternion_to_matrix as quaternion_to_matrix
+from doojax.geometry.frames import quaternion_yaw as quaternion_yaw
+from doojax.geometry.frames import rotate as rotate
+from doojax.geometry.frames import rotate_inverse as rotate_inverse
+from doojax.geometry.frames import safe_norm as safe_norm
+from doojax.geometry.frames import to_body as to_body
+from doojax.geometry.frames import to_world as to_world
+from doojax.geometry.mesh_grid import MeshGrid as MeshGrid
+from doojax.geometry.mesh_grid import fill_mesh_grid as fill_mesh_grid
+from doojax.geometry.mesh_grid import mesh_signed_distance as mesh_signed_distance
+from doojax.geometry.sdf import FAR as FAR
+from doojax.geometry.sdf import nearest_obstacle as nearest_obstacle
+from doojax.geometry.sdf import segment_signed_distance as segment_signed_distance
+from doojax.geometry.sdf import signed_distance as signed_distance
+from doojax.geometry.sdf import signed_distances as signed_distances
+from doojax.geometry.voxels import Grid as Grid
+from doojax.geometry.voxels import crop as crop
+from doojax.geometry.voxels import gaussian_raster as gaussian_raster
+from doojax.geometry.voxels import grid_covering as grid_covering
+from doojax.geometry.voxels import inverse_log_raster as inverse_log_raster
+from doojax.geometry.voxels import occupancy as occupancy

@@ -1,0 +1,86 @@
+"""Rotations, rigid frames and lengths.
+
+Quaternions are unit, (w, x, y, z), body to world. Everything is written element by element, never as a matrix
+product: GPUs round float32 matrix products to about three digits by default, which is millimetres here.
+"""
+
+import functools
+
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+
+def rotate(quaternion: Float[Array, "*#b 4"], vector: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
+    """Turn a vector from the body's axes to the world's."""
+    real, imaginary = quaternion[..., :1], quaternion[..., 1:]
+    twice = 2 * jnp.cross(imaginary, vector)
+    return vector + real * twice + jnp.cross(imaginary, twice)
+
+
+def rotate_inverse(quaternion: Float[Array, "*#b 4"], vector: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
+    """Turn a vector from the world's axes to the body's."""
+    return rotate(quaternion_inverse(quaternion), vector)
+
+
+def quaternion_inverse(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """The rotation undone: the conjugate of a unit quaternion."""
+    return quaternion * jnp.array([1, -1, -1, -1], quaternion.dtype)
+
+
+def quaternion_multiply(left: Float[Array, "*#b 4"], right: Float[Array, "*#b 4"]) -> Float[Array, "*b 4"]:
+    """The rotation that first turns by ``right``, then by ``left``."""
+    real = left[..., :1] * right[..., :1] - jnp.sum(left[..., 1:] * right[..., 1:], axis=-1, keepdims=True)
+    imaginary = (
+        left[..., :1] * right[..., 1:]
+        + right[..., :1] * left[..., 1:]
+        + jnp.cross(left[..., 1:], right[..., 1:])
+    )
+    return jnp.concatenate([real, imaginary], axis=-1)
+
+
+def quaternion_from_yaw(yaw: Float[Array, "*b"]) -> Float[Array, "*b 4"]:
+    """The rotation by ``yaw`` radians about z, counter-clockwise seen from above."""
+    zero = jnp.zeros_like(yaw)
+    return jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)], axis=-1)
+
+
+def quaternion_yaw(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b"]:
+    """Heading of the body's x axis in the world's xy plane, radians in (-pi, pi].
+
+    The heading means nothing, and its gradient is not finite, where that axis stands vertical.
+    """
+    w, x, y, z = jnp.moveaxis(quaternion, -1, 0)
+    return jnp.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def quaternion_to_matrix(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
+    """The rotation matrix, body to world: its columns are the body's axes."""
+    w, x, y, z = jnp.moveaxis(quaternion, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def to_body(
+    position: Float[Array, "*#b 3"], quaternion: Float[Array, "*#b 4"], points: Float[Array, "*#b 3"]
+) -> Float[Array, "*b 3"]:
+    """World points (metres) as seen from a body at ``position`` with orientation ``quaternion``."""
+    return rotate_inverse(quaternion, points - position)
+
+
+def to_world(
+    position: Float[Array, "*#b 3"], quaternion: Float[Array, "*#b 4"], points: Float[Array, "*#b 3"]
+) -> Float[Array, "*b 3"]:
+    """Points given in a body's frame (metres), in the world: the inverse of `to_body`."""
+    return rotate(quaternion, points) + position
+
+
+def safe_norm(*components: Float[Array, "*#b"]) -> Float[Array, "*b"]:
+    """Length of the vector with these components; its gradient at the zero vector is zero instead of NaN."""
+    square = functools.reduce(jnp.add, (component * component for component in components))
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
