@@ -1,7 +1,7 @@
 """Rotations, rigid frames and lengths.
 
 Quaternions are unit, (w, x, y, z), body to world. Everything is written element by element, never as a matrix
-product: GPUs round float32 matrix products to about three digits by default, which is millimetres here.
+product: by default GPUs may round the factors of float32 matrix products to three digits, millimetres here.
 """
 
 import functools

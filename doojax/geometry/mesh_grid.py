@@ -96,13 +96,14 @@ def mesh_signed_distance(grid: MeshGrid, points: Float[Array, "*p 3"]) -> Float[
     offset = points - grid.origin
     held = jnp.clip(offset, 0, last * grid.spacing)
     cell = jnp.clip(jnp.floor(held / grid.spacing).astype(int), 0, last - 1)
-    fraction = held / grid.spacing - cell
+    upper = jnp.moveaxis(held / grid.spacing - cell, -1, 0)
+    weights = 1 - upper, upper
+    x, y, z = jnp.moveaxis(cell, -1, 0)
 
     value = jnp.zeros(points.shape[:-1], grid.values.dtype)
-    for corner in np.ndindex(2, 2, 2):
-        weight = jnp.prod(jnp.where(jnp.array(corner) == 1, fraction, 1 - fraction), axis=-1)
-        index = cell + jnp.array(corner)
-        value += weight * grid.values[index[..., 0], index[..., 1], index[..., 2]]
+    for i, j, k in np.ndindex(2, 2, 2):
+        weight = weights[i][0] * weights[j][1] * weights[k][2]
+        value += weight * grid.values[x + i, y + j, z + k]
 
     gap = safe_norm(*jnp.moveaxis(offset - held, -1, 0))
     return jnp.where(gap > 0, safe_norm(gap, value), value)
