@@ -16,10 +16,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from doojax.datasets.store import Dataset
+from doojax.simulation.state import Fault
 
 QUATERNION_TOLERANCE = 1e-5  # a few roundings of float32
 STRETCH_BOUNDS = (0.01, 0.03)
-FAULT_BIT = "trajectories with fault bit"
 
 
 @dataclass
@@ -124,23 +124,19 @@ def summarise(dataset: Dataset) -> Summary:
         "unit quaternions": [f"{name}: {count} are not" for name, count in not_unit.items() if count],
         "distinct trajectories": _repeats(digests, dataset.rows),
     }
-    facts = {
-        label: (hits[label], total)
-        for label, total in totals.items()
-        if hits[label] or not label.startswith(FAULT_BIT)
-    }
-    return Summary(statistics, facts, checks)
+    return Summary(statistics, {label: (hits[label], totals[label]) for label in totals}, checks)
 
 
 def _marks(arrays: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
     if "faults" in arrays:
         bits = np.bitwise_or.reduce(arrays["faults"], axis=1)
         yield "trajectories with a fault", bits != 0
-        for bit in range(8 * bits.itemsize - 1):
-            yield f"{FAULT_BIT} {bit}", (bits >> bit & 1) != 0
-    if "contact" in arrays:
-        yield "periods in contact", arrays["contact"]
-        yield "trajectories that touch an obstacle", arrays["contact"].any(axis=1)
+        for fault in Fault:
+            yield f"trajectories with {fault.name}", (bits & fault.value) != 0
+    if "clearance" in arrays:
+        yield "states within 1 mm of an obstacle", arrays["clearance"] < 0.001
+        yield "trajectories within 1 mm of an obstacle", (arrays["clearance"] < 0.001).any(axis=1)
+        yield "states more than 2 mm inside an obstacle", arrays["clearance"] < -0.002
     if "stretch" in arrays:
         for bound in STRETCH_BOUNDS:
             yield f"states stretched by more than {bound:.0%}", arrays["stretch"] > bound

@@ -15,6 +15,7 @@ resumes. No file holds a date, a host or anything else that differs between runs
 the bytes of an uninterrupted one.
 """
 
+import dataclasses
 import json
 import warnings
 from collections.abc import Iterator, Sequence
@@ -255,8 +256,8 @@ class Dataset:
         return Obstacles(**{name: jnp.asarray(self[f"obstacle_{name}"][indices]) for name in names})
 
     def trajectories(self, indices: Indices) -> Trajectory:
-        """States, actions, faults and contact of each trajectory."""
-        names = ("actions", "faults", "contact")
+        """Each trajectory's states and all else that a `Trajectory` holds."""
+        names = [one.name for one in dataclasses.fields(Trajectory) if one.name != "states"]
         return Trajectory(
             states=self.rope_states(indices), **{name: jnp.asarray(self[name][indices]) for name in names}
         )

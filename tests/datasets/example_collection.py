@@ -15,7 +15,7 @@ SCHEMA = {
     "grippers": Field((PERIODS + 1, 1, 3), "float32", "m", "gripper positions"),
     "actions": Field((PERIODS, 1, 3), "float32", "m", "gripper displacements"),
     "faults": Field((PERIODS,), "int32", "1", "bit set of faults"),
-    "contact": Field((PERIODS,), "bool", "1", "did anything touch an obstacle"),
+    "clearance": Field((PERIODS + 1,), "float32", "m", "distance to the nearest obstacle"),
     "stretch": Field((PERIODS + 1,), "float32", "1", "lengthening over length", may_be_missing=True),
     "obstacle_kind": Field((2,), "int32", "1", "shape"),
     "obstacle_centre": Field((2, 3), "float32", "m", "centre"),
@@ -46,8 +46,8 @@ def shard_arrays(writer, shard):
             arrays[name] = np.zeros(shape, dtype)
     if "obstacle_quaternion" in arrays:
         arrays["obstacle_quaternion"] /= np.linalg.norm(arrays["obstacle_quaternion"], axis=-1, keepdims=True)
-    if "contact" in arrays:
-        arrays["contact"] = generator.random(arrays["contact"].shape) < 0.3
+    if "obstacle_active" in arrays:
+        arrays["obstacle_active"] = generator.random(arrays["obstacle_active"].shape) < 0.7
     if "environment" in arrays:
         arrays["environment"] = (np.arange(rows.start, rows.stop) // 2).astype(np.int32)
     return arrays

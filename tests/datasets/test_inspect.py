@@ -9,6 +9,7 @@ from hypothesis.extra import numpy as hnp
 
 from doojax.datasets import Dataset, Field
 from doojax.datasets.inspect import FieldStatistics, inspect, summarise
+from doojax.simulation.state import Fault
 
 from .example_collection import SCHEMA, collect, open_writer, shard_arrays
 
@@ -40,27 +41,31 @@ def test_running_statistics_are_those_of_all_values_together(shards):
         np.testing.assert_allclose(statistics.deviation, present.std(), rtol=1e-9, atol=1e-9)
 
 
-def test_summary_counts_faults_contact_and_stretch(tmp_path):
+def test_summary_counts_faults_clearance_and_stretch(tmp_path):
     writer = open_writer(tmp_path)
     for shard in writer.missing_shards():
         arrays = shard_arrays(writer, shard)
         arrays["stretch"][:] = np.nan if shard == 4 else 0.02
-        arrays["contact"][:] = False
+        arrays["clearance"][:] = 0.1
         if shard == 1:
-            arrays["faults"][2, 3] = 5
-            arrays["faults"][2, 4] = 1
-            arrays["faults"][4, 0] = 4
+            arrays["faults"][2, 3] = Fault.NOT_FINITE | Fault.CONTACTS_DROPPED
+            arrays["faults"][2, 4] = Fault.NOT_FINITE
+            arrays["faults"][4, 0] = Fault.CONTACTS_DROPPED
             arrays["stretch"][0, 0] = 0.5
-            arrays["contact"][1, 1:3] = True
+            arrays["clearance"][1, 1:3] = 0.0005
+            arrays["clearance"][3, 1:5] = -0.0025
         writer.write(shard, arrays)
     writer.finish()
     summary = summarise(Dataset.open(tmp_path))
     assert summary.facts == {
         "trajectories with a fault": (2, 23),
-        "trajectories with fault bit 0": (1, 23),
-        "trajectories with fault bit 2": (2, 23),
-        "periods in contact": (2, 23 * 6),
-        "trajectories that touch an obstacle": (1, 23),
+        "trajectories with NOT_FINITE": (1, 23),
+        "trajectories with UNSTABLE": (0, 23),
+        "trajectories with CONTACTS_DROPPED": (2, 23),
+        "trajectories with SCENE_OVERFULL": (0, 23),
+        "states within 1 mm of an obstacle": (6, 23 * 7),
+        "trajectories within 1 mm of an obstacle": (2, 23),
+        "states more than 2 mm inside an obstacle": (4, 23 * 7),
         "states stretched by more than 1%": (20 * 7, 23 * 7),
         "states stretched by more than 3%": (1, 23 * 7),
     }

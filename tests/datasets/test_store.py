@@ -409,9 +409,8 @@ def test_ropes_obstacles_and_trajectories(stored):
     trajectories = dataset.trajectories(rows)
     np.testing.assert_array_equal(trajectories.states.points, arrays["points"][rows])
     np.testing.assert_array_equal(trajectories.states.grippers, arrays["grippers"][rows])
-    np.testing.assert_array_equal(trajectories.actions, arrays["actions"][rows])
-    np.testing.assert_array_equal(trajectories.faults, arrays["faults"][rows])
-    np.testing.assert_array_equal(trajectories.contact, arrays["contact"][rows])
+    for name in ("actions", "faults", "clearance", "stretch"):
+        np.testing.assert_array_equal(getattr(trajectories, name), arrays[name][rows])
     np.testing.assert_array_equal(dataset.rope_states(3).points, arrays["points"][3])
     obstacles = dataset.obstacles(slice(2, 7))
     for name in ("kind", "centre", "quaternion", "half_size", "active"):
