@@ -43,4 +43,5 @@ class Trajectory(eqx.Module):
     states: RopeState  # points [*b, T+1, N, 3], grippers [*b, T+1, G, 3]
     actions: Float[Array, "*b T G 3"]  # gripper displacements, metres
     faults: Int[Array, "*b T"]  # bit set of doojax.simulation.Fault, per control period
-    contact: Bool[Array, "*b T"]  # did rope or gripper touch an obstacle in that period
+    clearance: Float[Array, "*b T1"]  # m, least distance of rope and grippers to an obstacle, per state
+    stretch: Float[Array, "*b T1"]  # by what fraction of its length the rope, held or not, is too long

@@ -1,0 +1,124 @@
+"""MuJoCo MJX: pure functions that jit, vmap, scan and differentiate, on any device that JAX knows."""
+
+import contextlib
+import io
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from doojax.simulation.build import build_model
+from doojax.simulation.layout import (
+    Layout,
+    Observation,
+    clearance,
+    gripper_targets,
+    read_observation,
+    stretch,
+)
+from doojax.simulation.scenes import Scene, obstacles_at
+from doojax.simulation.state import Fault, SimState, Start, find_faults
+from doojax.types import Obstacles, RopeState, Trajectory
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which is no fault
+    from mujoco import mjx
+
+
+class MjxSimulator(eqx.Module):
+    """One scene on MJX; see `doojax.simulation.Simulator`."""
+
+    model: mjx.Model
+    data: mjx.Data  # a fresh state, of which a step replaces what SimState holds
+    start: Start
+    scene: Scene = eqx.field(static=True)
+    layout: Layout = eqx.field(static=True)
+
+    def __init__(self, scene: Scene, start: Start, impl: Literal["jax", "warp"] = "jax"):
+        """Put ``scene`` on JAX's default device; ``start(key)`` draws a SimState."""
+        model = build_model(scene)
+        self.scene, self.start, self.layout = scene, start, Layout.of(scene, model)
+        self.model = mjx.put_model(model, impl=impl)
+        self.data = mjx.make_data(model, impl=impl)
+
+    def reset(self, key: Array) -> SimState:
+        """A start drawn from the task's distribution."""
+        return self.start(key)
+
+    def step(self, state: SimState, action: Float[Array, "G 3"]) -> SimState:
+        """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
+        model, data = self._load(state)
+        grippers = state.qpos[self.layout.gripper_qpos]
+        targets = gripper_targets(self.scene, grippers, action[:, : grippers.shape[-1]])
+
+        def substep(carry, target):
+            data, dropped = carry
+            data = mjx.step(model, data.replace(ctrl=target))
+            return (data, dropped | self._contacts_dropped(data)), None
+
+        (data, dropped), _ = jax.lax.scan(substep, (data, jnp.array(False)), targets)
+        faults = find_faults(data.qpos, data.qvel)
+        faults = faults + jnp.where(dropped, int(Fault.CONTACTS_DROPPED), 0)
+        return eqx.tree_at(
+            lambda s: (s.qpos, s.qvel, s.faults), state, (data.qpos, data.qvel, faults.astype(jnp.int32))
+        )
+
+    def observe(self, state: SimState) -> RopeState:
+        """Link centres and gripper positions, world frame, metres."""
+        return self.observation(state).rope
+
+    def observation(self, state: SimState) -> Observation:
+        """What `observe` gives, and the directions of the links and the points held."""
+        model, data = self._load(state)
+        data = mjx.kinematics(model, data)
+        return read_observation(self.layout, model.geom_size, data.xpos, data.xmat, data.site_xpos)
+
+    def obstacles(self, state: SimState) -> Obstacles:
+        """The primitives of the obstacles where they are."""
+        return obstacles_at(self.scene, state.obstacle_position, state.obstacle_quaternion)
+
+    @eqx.filter_jit
+    def rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+        """T control periods of B elements: the bulk path. Returns the last states and all that was seen."""
+        return jax.vmap(self._rollout_one)(states, actions)
+
+    def _rollout_one(self, state: SimState, actions: Float[Array, "T G 3"]) -> tuple[SimState, Trajectory]:
+        obstacles = self.obstacles(state)
+
+        def period(state, action):
+            after = self.step(state, action)
+            return after, (after.qpos, after.faults)
+
+        last, (qpos, faults) = jax.lax.scan(period, state, actions)
+        qpos = jnp.concatenate([state.qpos[None], qpos])
+        seen = jax.vmap(lambda q: self.observation(eqx.tree_at(lambda s: s.qpos, state, q)))(qpos)
+        trajectory = Trajectory(
+            states=seen.rope,
+            actions=actions,
+            faults=faults,
+            clearance=jax.vmap(lambda o: clearance(self.scene, obstacles, o))(seen),
+            stretch=jax.vmap(lambda o: stretch(self.scene, state.holding, o))(seen),
+        )
+        return last, trajectory
+
+    def _load(self, state: SimState) -> tuple[mjx.Model, mjx.Data]:
+        model = self.model.replace(**state.model_fields)
+        data = self.data.replace(
+            qpos=state.qpos,
+            qvel=state.qvel,
+            mocap_pos=state.obstacle_position,
+            mocap_quat=state.obstacle_quaternion,
+            eq_active=self.data.eq_active.at[self._hold_rows()].set(state.holding),
+        )
+        return model, data
+
+    def _hold_rows(self):
+        """The holds are the last equalities of a model."""
+        return slice(self.data.eq_active.shape[0] - len(self.scene.grippers), None)
+
+    def _contacts_dropped(self, data: mjx.Data) -> Bool[Array, ""]:
+        contact = getattr(data._impl, "contact", None)
+        if contact is None or contact.dist.shape[0] < self.scene.solver.max_contact_points:
+            return jnp.array(False)
+        return jnp.all(contact.dist < 0)

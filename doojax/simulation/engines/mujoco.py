@@ -1,0 +1,157 @@
+"""MuJoCo C through `mujoco.rollout`: threads over the batch, the fastest engine on a CPU."""
+
+import contextlib
+import copy
+import os
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+from mujoco.rollout import Rollout
+
+from doojax.simulation.build import build_model
+from doojax.simulation.layout import (
+    Layout,
+    Observation,
+    clearance,
+    gripper_targets,
+    read_observation,
+    stretch,
+)
+from doojax.simulation.scenes import Scene, obstacles_at
+from doojax.simulation.state import SimState, Start, find_faults
+from doojax.types import Obstacles, RopeState, Trajectory
+
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
+BATCH = 64  # elements advanced together: their states of one control period stay in cache
+
+
+class MujocoSimulator:
+    """One scene on MuJoCo C; see `doojax.simulation.Simulator`. Runs outside jit."""
+
+    def __init__(self, scene: Scene, start: Start, threads: int | None = None):
+        """Compile ``scene``; ``start(key)`` draws a SimState; ``threads`` defaults to the processors at hand."""
+        self.scene = scene
+        self._start = jax.jit(lambda key: start(key))
+        self._model = build_model(scene)
+        self.layout = Layout.of(scene, self._model)
+        self._data = mujoco.MjData(self._model)
+        threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        self._pool = Rollout(nthread=threads)
+        self._pool_data = [copy.copy(self._data) for _ in range(max(threads, 1))]
+        self._models = [copy.copy(self._model) for _ in range(BATCH)]
+        self._measure = jax.jit(jax.vmap(self._measure_one))
+
+    def reset(self, key: Array) -> SimState:
+        """A start drawn from the task's distribution."""
+        return self._start(key)
+
+    def step(self, state: SimState, action: Float[Array, "G 3"]) -> SimState:
+        """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
+        batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], state)
+        last, _ = self.rollout(batch, jnp.asarray(action)[None, None])
+        return jax.tree.map(lambda leaf: leaf[0], last)
+
+    def observe(self, state: SimState) -> RopeState:
+        """Link centres and gripper positions, world frame, metres."""
+        return self.observation(state).rope
+
+    def observation(self, state: SimState) -> Observation:
+        """What `observe` gives, and the directions of the links and the points held."""
+        batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], state)
+        return jax.tree.map(lambda leaf: leaf[0], self.observations(batch))
+
+    def observations(self, states: SimState) -> Observation:
+        """`observation` of a batch."""
+        states = jax.tree.map(np.asarray, states)
+        seen = [
+            self._observe(self._load(0, jax.tree.map(lambda leaf, i=i: leaf[i], states)), states.qpos[None, i])
+            for i in range(states.qpos.shape[0])
+        ]
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *seen)
+
+    def obstacles(self, state: SimState) -> Obstacles:
+        """The primitives of the obstacles where they are."""
+        return obstacles_at(self.scene, state.obstacle_position, state.obstacle_quaternion)
+
+    def rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+        """T control periods of B elements: the bulk path. Returns the last states and all that was seen."""
+        batch = actions.shape[0]
+        parts = []
+        for first in range(0, batch, BATCH):
+            part = jax.tree.map(lambda leaf, f=first: leaf[f : f + BATCH], (states, actions))
+            parts.append(self._rollout_part(*part))
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+    def _rollout_part(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+        batch, periods = actions.shape[:2]
+        host = jax.tree.map(np.asarray, states)
+        models = [self._load(i, jax.tree.map(lambda leaf, i=i: leaf[i], host)) for i in range(batch)]
+        nq = self._model.nq
+        history = np.zeros((batch, periods + 1, mujoco.mj_stateSize(self._model, STATE)))
+        history[:, 0, 1:] = np.concatenate([host.qpos, host.qvel], axis=1)
+        commands = np.asarray(actions, dtype=np.float64)[..., : self.layout.gripper_qpos.shape[1]]
+        for period in range(periods):
+            start = history[:, period, 1 + self.layout.gripper_qpos]
+            targets = gripper_targets(self.scene, start, commands[:, period], xp=np)
+            with _quiet():
+                steps, _ = self._pool.rollout(models, self._pool_data, history[:, period], targets)
+            history[:, period + 1] = steps[:, -1]
+        seen = [self._observe(model, own[:, 1 : 1 + nq]) for model, own in zip(models, history, strict=True)]
+        seen = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float32), *seen)
+        measured = self._measure(states.obstacle_position, states.obstacle_quaternion, states.holding, seen)
+        with np.errstate(over="ignore"):  # a state that blew up need not fit into single precision
+            physics = history[:, :, 1:].astype(np.float32)
+        qpos, qvel = jnp.asarray(physics[..., :nq]), jnp.asarray(physics[..., nq:])
+        faults = find_faults(qpos[:, 1:], qvel[:, 1:]).astype(jnp.int32)
+        last = eqx.tree_at(
+            lambda s: (s.qpos, s.qvel, s.faults), states, (qpos[:, -1], qvel[:, -1], faults[:, -1])
+        )
+        return last, Trajectory(jax.tree.map(jnp.asarray, seen.rope), actions, faults, *measured)
+
+    def _measure_one(self, position, quaternion, holding, seen):
+        obstacles = obstacles_at(self.scene, position, quaternion)
+        return (
+            jax.vmap(lambda o: clearance(self.scene, obstacles, o))(seen),
+            jax.vmap(lambda o: stretch(self.scene, holding, o))(seen),
+        )
+
+    def _load(self, index: int, state: SimState) -> mujoco.MjModel:
+        """The model of batch element ``index``, with what varies by element written into it.
+
+        `mujoco.rollout` reads the poses of mocap bodies and the active equalities from the model.
+        """
+        model = self._models[index]
+        mocap = model.body_mocapid >= 0
+        for name, values in state.model_fields.items():
+            getattr(model, name)[:] = values
+        model.body_pos[mocap] = state.obstacle_position
+        model.body_quat[mocap] = state.obstacle_quaternion
+        model.eq_active0[model.neq - len(self.scene.grippers) :] = state.holding
+        return model
+
+    def _observe(self, model: mujoco.MjModel, qpos: Float[np.ndarray, "K nq"]) -> Observation:
+        data, xpos, xmat, sites = self._data, [], [], []
+        for own in qpos:
+            data.qpos[:] = own
+            mujoco.mj_kinematics(model, data)
+            xpos.append(data.xpos.copy())
+            xmat.append(data.xmat.reshape(-1, 3, 3).copy())
+            sites.append(data.site_xpos.copy())
+        sizes = np.broadcast_to(model.geom_size, (len(qpos), *model.geom_size.shape))
+        return read_observation(self.layout, sizes, np.stack(xpos), np.stack(xmat), np.stack(sites))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep MuJoCo from writing MUJOCO_LOG.TXT: what goes wrong is reported as faults."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)

@@ -1,0 +1,214 @@
+"""Ropes as MuJoCo bodies: capsule chains, planar capsule chains and point masses.
+
+A rope's parameters are SI quantities of the continuum (EI, GJ, total mass, ...); the joints and tendons that
+carry them are derived from the number of links, so refining a rope does not change it. Stiffness lives in
+joints and tendons and never in MuJoCo's elasticity plugins, which MJX ignores without a word.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    import mujoco
+
+RopeKind = Literal["capsule_chain", "planar_chain", "point_masses"]
+
+ROPE_CONTACT, OBSTACLE_CONTACT, FLOOR_CONTACT = 1, 2, 4  # collision bits
+
+
+@dataclass(frozen=True)
+class RopeParameters:
+    """What a rope is made of; may differ from one batch element to the next without a new compile.
+
+    Raises ValueError when a value is negative, or zero where that has no meaning.
+    """
+
+    length: float  # m, end to end
+    radius: float  # m
+    mass: float  # kg, the whole rope
+    bending_stiffness: float  # EI, N m^2
+    twisting_stiffness: float = 0.0  # GJ, N m^2; only a capsule chain twists
+    bending_damping: float = 0.0  # moment per rate of curvature, N m^2 s; also resists twisting
+    friction: float = 0.1  # Coulomb coefficient against floor and obstacles
+
+    def __post_init__(self):
+        """Refuse values without a physical meaning."""
+        for name, value in vars(self).items():
+            positive = name in ("length", "radius", "mass")
+            if not (value > 0 if positive else value >= 0):
+                raise ValueError(f"rope {name} is {value}, expected {'> 0' if positive else '>= 0'}")
+
+
+@dataclass(frozen=True)
+class RopeModel:
+    """How a rope is cut into bodies; part of the compiled model."""
+
+    kind: RopeKind
+    links: int
+    self_contact: bool = False
+
+    def __post_init__(self):
+        """Refuse ropes too short to bend."""
+        if self.links < 3:
+            raise ValueError(f"a rope needs at least 3 links, got {self.links}")
+        if self.kind == "planar_chain" and self.self_contact:
+            raise ValueError("self-contact needs kind='capsule_chain'; a planar chain has none")
+
+
+def link_name(index: int) -> str:
+    """Name of the body of rope link ``index``."""
+    return f"rope{index}"
+
+
+def add_rope(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, height: float) -> None:
+    """Add a straight rope along x, centred at x = y = 0 and at ``height``, to ``spec``.
+
+    Link i's centre lies at x = (i + 1/2) length / links - length / 2. Chains are rooted at their middle link:
+    compile and run time in MJX grow with the depth of the tree.
+    """
+    if model.kind == "point_masses":
+        if rope.bending_stiffness or rope.twisting_stiffness or rope.bending_damping:
+            raise ValueError(
+                "a rope of point masses is limp: bending_stiffness, twisting_stiffness and bending_damping must "
+                f"be 0, got {rope.bending_stiffness}, {rope.twisting_stiffness} and {rope.bending_damping}; use "
+                "kind='capsule_chain' for a rope that resists bending"
+            )
+        _add_point_masses(spec, model, rope, height)
+    else:
+        _add_chain(spec, model, rope, height)
+
+
+def _add_chain(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, height: float) -> None:
+    import mujoco
+
+    planar = model.kind == "planar_chain"
+    pitch, mass = rope.length / model.links, rope.mass / model.links
+    middle = model.links // 2
+    bodies: dict[int, mujoco.MjsBody] = {}
+    for index in sorted(range(model.links), key=lambda i: abs(i - middle)):
+        if index == middle:
+            x = (middle + 0.5) * pitch - rope.length / 2
+            body = spec.worldbody.add_body(name=link_name(index), pos=[x, 0, height])
+            _add_root_joints(body, planar)
+        else:
+            step = 1 if index > middle else -1
+            body = bodies[index - step].add_body(name=link_name(index), pos=[step * pitch, 0, 0])
+            _add_bending_joints(spec, body, rope, pitch, anchor=-step * pitch / 2, planar=planar)
+        body.mass = mass
+        axial, transverse = mass * rope.radius**2 / 2, mass * (pitch**2 / 12 + rope.radius**2 / 4)
+        body.inertia = [axial, transverse, transverse]
+        body.ipos = [0, 0, 0]
+        body.explicitinertial = True
+        _add_link_geoms(body, model, rope, pitch)
+        bodies[index] = body
+    if model.self_contact:
+        for i in range(model.links - 2):  # capsules two apart touch at the joint when the rope bends
+            spec.add_exclude(bodyname1=link_name(i), bodyname2=link_name(i + 2))
+
+
+def _add_root_joints(body: "mujoco.MjsBody", planar: bool) -> None:
+    import mujoco
+
+    if not planar:
+        body.add_freejoint(name="rope_root")
+        return
+    for axis, direction in zip("xyz", ([1, 0, 0], [0, 1, 0], [0, 0, 1]), strict=True):
+        body.add_joint(name=f"rope_root_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
+    body.add_joint(name="rope_root_yaw", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+
+
+def _add_bending_joints(
+    spec: "mujoco.MjSpec", body: "mujoco.MjsBody", rope: RopeParameters, pitch: float, anchor: float, planar: bool
+) -> None:
+    """Hinges about z, and for a rope in space about y and x: bending, bending, twisting.
+
+    The integrator is explicit. A joint inertia (armature) of k dt^2 + c dt keeps a spring k and a damper c
+    stable whatever the link's own inertia: k dt^2 / a + 2 c dt / a < 4 bounds the step. It slows a mode of
+    angular frequency w by a fraction of order (w dt)^2, and no static shape depends on it.
+    """
+    import mujoco
+
+    hinges = [("bend_z", [0, 0, 1], rope.bending_stiffness)]
+    if not planar:
+        hinges.insert(0, ("bend_y", [0, 1, 0], rope.bending_stiffness))
+        hinges.append(("twist", [1, 0, 0], rope.twisting_stiffness))
+    for name, axis, rigidity in hinges:
+        stiffness, damping = rigidity / pitch, rope.bending_damping / pitch
+        body.add_joint(
+            name=f"{body.name}_{name}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=axis,
+            pos=[anchor, 0, 0],
+            stiffness=[stiffness, 0, 0],
+            damping=[damping, 0, 0],
+            armature=_stabilising_inertia(stiffness, damping, spec.option.timestep),
+        )
+
+
+def _stabilising_inertia(stiffness: float, damping: float, timestep: float) -> float:
+    return stiffness * timestep**2 + damping * timestep
+
+
+def _add_link_geoms(body: "mujoco.MjsBody", model: RopeModel, rope: RopeParameters, pitch: float) -> None:
+    import mujoco
+
+    friction = [rope.friction, 0, 0]
+    own = ROPE_CONTACT if model.self_contact else 0
+    planar = model.kind == "planar_chain"
+    body.add_geom(
+        name=body.name,
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[-pitch / 2, 0, 0, pitch / 2, 0, 0],
+        size=[rope.radius, 0, 0],
+        contype=own,
+        conaffinity=own | OBSTACLE_CONTACT | (0 if planar else FLOOR_CONTACT),
+        friction=friction,
+        condim=3,
+    )
+    if planar:  # one floor contact a link carries its weight; a capsule would make two
+        body.add_geom(
+            name=f"{body.name}_floor",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[rope.radius, 0, 0],
+            contype=0,
+            conaffinity=FLOOR_CONTACT,
+            friction=friction,
+            condim=3,
+        )
+
+
+def _add_point_masses(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, height: float) -> None:
+    """Spheres at the links' centres, each with three slides whose coordinates are its world position.
+
+    Neighbours keep their distance by tendon equalities. There is nothing that bends: a limp rope.
+    """
+    import mujoco
+
+    pitch, mass = rope.length / model.links, rope.mass / model.links
+    axes = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1]}
+    own = ROPE_CONTACT if model.self_contact else 0
+    for i in range(model.links):
+        x = (i + 0.5) * pitch - rope.length / 2
+        body = spec.worldbody.add_body(name=link_name(i), pos=[x, 0, height])
+        body.mass, body.inertia = mass, [0.4 * mass * rope.radius**2] * 3
+        body.ipos, body.explicitinertial = [0, 0, 0], True
+        for axis, direction in axes.items():
+            body.add_joint(name=f"{body.name}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
+        body.add_site(name=body.name)
+        body.add_geom(
+            name=body.name,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[rope.radius, 0, 0],
+            contype=own,
+            conaffinity=own | OBSTACLE_CONTACT | FLOOR_CONTACT,
+            friction=[rope.friction, 0, 0],
+            condim=3,
+        )
+    for i in range(model.links - 1):
+        tendon = spec.add_tendon(name=f"link{i}")
+        tendon.wrap_site(link_name(i))
+        tendon.wrap_site(link_name(i + 1))
+        equality = spec.add_equality(
+            name=f"link{i}", type=mujoco.mjtEq.mjEQ_TENDON, objtype=mujoco.mjtObj.mjOBJ_TENDON
+        )
+        equality.name1 = tendon.name

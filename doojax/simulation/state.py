@@ -1,0 +1,69 @@
+"""The state of a simulation: the same few arrays for every engine, so that a state moves between them."""
+
+from collections.abc import Callable
+from enum import IntFlag
+from typing import Any, Protocol
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from doojax.types import Obstacles, RopeState, Trajectory
+
+MAX_VELOCITY = 1000.0  # m/s or rad/s: beyond it a state counts as unstable
+
+
+class Fault(IntFlag):
+    """What went wrong in a control period; the bits of `SimState.faults` and `Trajectory.faults`."""
+
+    NOT_FINITE = 1  # NaN or infinity in the state
+    UNSTABLE = 2  # a joint moves faster than MAX_VELOCITY
+    CONTACTS_DROPPED = 4  # MJX met more contacts than the scene's max_contact_points
+    SCENE_OVERFULL = 8  # no room was found for an obstacle: it stays parked
+
+
+class SimState(eqx.Module):
+    """All that a simulation needs to go on, and nothing else."""
+
+    qpos: Float[Array, "*b nq"]
+    qvel: Float[Array, "*b nv"]
+    obstacle_position: Float[Array, "*b B 3"]  # of the scene's obstacle bodies, world frame, m
+    obstacle_quaternion: Float[Array, "*b B 4"]
+    holding: Bool[Array, "*b G"]  # does gripper g hold its link?
+    faults: Int[Array, "*b"]  # Fault bits of the last control period
+    model_fields: dict[str, Any]  # model values that differ by element; empty for the scene's own rope
+
+
+Start = Callable[[Array], SimState]
+"""Draws a start from a random key."""
+
+
+class Simulator(Protocol):
+    """One scene on one engine. `reset`, `step` and `observe` take one element; `rollout` takes a batch."""
+
+    def reset(self, key: Array) -> SimState:
+        """A start drawn from the task's distribution."""
+        ...
+
+    def step(self, state: SimState, action: Float[Array, "G 3"]) -> SimState:
+        """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
+        ...
+
+    def observe(self, state: SimState) -> RopeState:
+        """Link centres and gripper positions, world frame, metres."""
+        ...
+
+    def obstacles(self, state: SimState) -> Obstacles:
+        """The primitives of the obstacles where they are."""
+        ...
+
+    def rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+        """T control periods of B elements: the bulk path. Returns the last states and all that was seen."""
+        ...
+
+
+def find_faults(qpos: Float[Array, "*b nq"], qvel: Float[Array, "*b nv"]) -> Int[Array, "*b"]:
+    """Fault bits that show in a state."""
+    finite = jnp.isfinite(qpos).all(-1) & jnp.isfinite(qvel).all(-1)
+    unstable = ~(jnp.abs(qvel) < MAX_VELOCITY).all(-1)
+    return jnp.where(finite, 0, int(Fault.NOT_FINITE)) + jnp.where(unstable, int(Fault.UNSTABLE), 0)

@@ -1,0 +1,94 @@
+"""What a task is: a scene, and how its starts, obstacles, actions and goals are drawn.
+
+A task knows no planner and no learner. Every sampler is a pure function of one element.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol, get_args
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from doojax.types import Obstacles, RopeState
+
+if TYPE_CHECKING:
+    from doojax.simulation.state import Simulator
+
+Phase = Literal["unconstrained", "constrained"]
+"""Phase one: no obstacles, nothing overstretched. Phase two: everything that can get in the way."""
+
+CANDIDATES = 32  # tried at once where a sample may be invalid
+
+
+class Task(Protocol):
+    """A manipulation problem; `make_task` builds one by name."""
+
+    @property
+    def name(self) -> str:
+        """The name that `make_task` knows it by."""
+        ...
+
+    @property
+    def grippers(self) -> int:
+        """How many grippers move the rope."""
+        ...
+
+    def simulator(self, engine: str = "auto", phase: Phase = "constrained") -> "Simulator":
+        """The task's scene on an engine: mujoco, mjx, warp, or auto (the fastest on this machine)."""
+        ...
+
+    def sample_action(
+        self, key: Array, state: RopeState, previous: Float[Array, "G 3"], phase: Phase
+    ) -> Float[Array, "G 3"]:
+        """Gripper displacements (m): often ``previous`` again; zeros as ``previous`` ask for a fresh one."""
+        ...
+
+    def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
+        """A point (m) for the task's rope point to reach, clear of the obstacles."""
+        ...
+
+    def goal_distance(self, state: RopeState, goal: Float[Array, "3"]) -> Float[Array, ""]:
+        """Metres between the task's rope point and ``goal``."""
+        ...
+
+    @property
+    def goal_threshold(self) -> float:
+        """Metres within which a goal counts as reached."""
+        ...
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned region, metres."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    def sample(self, key: Array) -> Float[Array, "3"]:
+        """A uniform point."""
+        return jax.random.uniform(key, (3,), minval=jnp.array(self.low), maxval=jnp.array(self.high))
+
+    def contains(self, points: Float[Array, "*b 3"]) -> Bool[Array, "*b"]:
+        """Is each point inside?"""
+        return ((points >= jnp.array(self.low)) & (points <= jnp.array(self.high))).all(-1)
+
+    def clip(self, points: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+        """The nearest point inside."""
+        return jnp.clip(points, jnp.array(self.low), jnp.array(self.high))
+
+
+def first_valid(
+    key: Array, draw: Callable[[Array], Array], valid: Callable[[Array], Bool[Array, ""]], fallback: Array
+) -> Array:
+    """The first of `CANDIDATES` draws that is valid, else ``fallback``: rejection with a bounded cost."""
+    candidates = jax.vmap(draw)(jax.random.split(key, CANDIDATES))
+    accepted = jax.vmap(valid)(candidates)
+    return jnp.where(accepted.any(), candidates[jnp.argmax(accepted)], fallback)
+
+
+def check_phase(phase: str) -> None:
+    """Raise ValueError for an unknown phase."""
+    if phase not in get_args(Phase):
+        raise ValueError(f"unknown phase {phase!r}, expected one of {', '.join(get_args(Phase))}")

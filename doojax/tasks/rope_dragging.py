@@ -1,0 +1,171 @@
+"""Drag a rope over the floor among boxes and corners until its tail is at a point (thesis section 2.5.2)."""
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from doojax.geometry.frames import quaternion_from_yaw
+from doojax.geometry.sdf import signed_distance
+from doojax.simulation.rope import RopeModel, RopeParameters
+from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
+from doojax.tasks.base import Box, Phase, check_phase, first_valid
+from doojax.types import Obstacles, RopeState, ShapeKind
+
+LINKS, RADIUS = 10, 0.02
+CUBE, CORNER_HEIGHT, WALL_HEIGHT = 0.125, 0.05, 0.15  # half sizes, m
+ARENA = 1.0  # m from the centre to a wall's middle
+EXTENT = Box((-1.2, -1.2, 0.0), (1.2, 1.2, 1.0))  # of gripper targets
+MAX_ACTION = 0.15  # m
+REPEAT_PROBABILITY = 0.8
+BANK = 64
+
+
+def scene() -> Scene:
+    """10 planar links of 5 cm on the floor, 6 cubes, 3 corners, 4 walls."""
+    cube = Shape(ShapeKind.BOX, (CUBE,) * 3)
+    corner = (
+        Shape(ShapeKind.BOX, (0.25, 0.04, CORNER_HEIGHT)),
+        Shape(ShapeKind.BOX, (0.04, 0.1, CORNER_HEIGHT), offset=(0.21, 0.1, 0.0)),
+    )
+    wall = Shape(ShapeKind.BOX, (0.05, 1.05, WALL_HEIGHT), wall=True)
+    return Scene(
+        name="rope_dragging",
+        rope_model=RopeModel("planar_chain", LINKS),
+        rope=RopeParameters(
+            length=0.5, radius=RADIUS, mass=0.5, bending_stiffness=1e-4, bending_damping=1e-4, friction=0.1
+        ),
+        grippers=(Gripper(link=LINKS - 1, end=1, radius=0.02, max_force=10.0, max_speed=0.18),),
+        obstacles=(
+            *(Obstacle(f"cube{i}", (cube,)) for i in range(6)),
+            *(Obstacle(f"corner{i}", corner) for i in range(3)),
+            *(Obstacle(f"wall{i}", (wall,)) for i in range(4)),
+        ),
+        timestep=0.005,
+        substeps=200,
+        solver=SolverSettings(contact_time=0.01),
+    )
+
+
+@dataclass(frozen=True)
+class RopeDragging:
+    """One gripper, planar; the tail (point 0) is to come within 5 cm of a point.
+
+    The arena, rope, obstacle sizes and action radius are those of the thesis's released code (0.15 m where the
+    thesis's text says 0.1 m). Obstacles are drawn uniformly rather than nudged from a grid, so that scenes
+    are independent, and stand still.
+    """
+
+    name: str = "rope_dragging"
+    grippers: int = 1
+    goal_threshold: float = 0.05
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene of both phases: in phase one the obstacles are parked."""
+        return scene()
+
+    @cached_property
+    def _bank(self):
+        from doojax.tasks.starts import settle_bank, straight_qpos
+
+        rng = np.random.default_rng(0)
+        angle = rng.uniform(-np.pi, np.pi, (BANK, 5)) * rng.uniform(0, 1, (BANK, 1))
+        actions = MAX_ACTION * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
+        starts = np.tile(straight_qpos(self.scene, RADIUS), (BANK, 1))
+        return settle_bank(self.scene, starts, actions[:, :, None])
+
+    def start(self, phase: Phase = "constrained"):
+        """The function that draws a start from a key."""
+        from doojax.tasks.starts import RandomStart
+
+        check_phase(phase)
+        constrained = phase == "constrained"
+        return RandomStart(
+            self._bank,
+            scene=self.scene,
+            place_rope=partial(_place_rope, 0.8 if constrained else 1.0),
+            placements=_placements() if constrained else None,
+        )
+
+    def simulator(self, engine: str = "auto", phase: Phase = "constrained"):
+        """The scene on an engine; see `Task.simulator`."""
+        from doojax.simulation.engines import make_simulator
+
+        return make_simulator(self.scene, self.start(phase), engine)
+
+    def sample_action(
+        self, key: Array, state: RopeState, previous: Float[Array, "1 3"], phase: Phase = "constrained"
+    ) -> Float[Array, "1 3"]:
+        """A displacement in the plane, at most 0.15 m long, the same as before with probability 0.8.
+
+        The direction and the length are uniform; targets outside the arena's extent (1.2 m) are redrawn.
+        """
+        repeat_key, draw_key = jax.random.split(key)
+        repeat = (jax.random.uniform(repeat_key) < REPEAT_PROBABILITY) & (previous != 0).any()
+
+        def draw(key):
+            angle_key, length_key = jax.random.split(key)
+            angle = jax.random.uniform(angle_key, minval=-jnp.pi, maxval=jnp.pi)
+            length = jax.random.uniform(length_key, maxval=MAX_ACTION)
+            return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
+
+        def valid(action):
+            return EXTENT.contains(state.grippers + action).all()
+
+        towards_centre = EXTENT.clip(state.grippers) - state.grippers
+        fresh = first_valid(draw_key, draw, valid, fallback=towards_centre)
+        return jnp.where(repeat & valid(previous), previous, fresh)
+
+    def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
+        """A point for the tail, in +-0.7 m, at least twice the threshold from every obstacle."""
+        region = Box((-0.7, -0.7, RADIUS), (0.7, 0.7, RADIUS))
+
+        def clear(goal):
+            return signed_distance(obstacles, goal) > 2 * self.goal_threshold
+
+        return first_valid(key, region.sample, clear, fallback=jnp.array([0.0, 0.0, RADIUS]))
+
+    def goal_distance(self, state: RopeState, goal: Float[Array, "3"]) -> Float[Array, ""]:
+        """Metres between the tail and ``goal``."""
+        return jnp.linalg.norm(state.points[0] - goal)
+
+
+def _place_rope(extent: float, key: Array, points: Float[Array, "P 3"]) -> tuple[Array, Array]:
+    """Turn a rope any way and put its middle anywhere that keeps it within ``extent`` (m) of the centre."""
+    yaw_key, position_key = jax.random.split(key)
+    yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
+    middle = points.mean(0)
+    reach = jnp.linalg.norm(points - middle, axis=-1).max()
+    room = jnp.maximum(extent - reach, 0.0)
+    position = jax.random.uniform(position_key, (2,), minval=-room, maxval=room)
+    turned = jnp.array(
+        [
+            jnp.cos(yaw) * middle[0] - jnp.sin(yaw) * middle[1],
+            jnp.sin(yaw) * middle[0] + jnp.cos(yaw) * middle[1],
+        ]
+    )
+    return jnp.append(position - turned, 0.0), yaw
+
+
+def _placements():
+    """Cubes and corners anywhere on the floor at any yaw; walls where they stand."""
+
+    def on_floor(height, key):
+        position_key, yaw_key = jax.random.split(key)
+        x, y = jax.random.uniform(position_key, (2,), minval=-0.8, maxval=0.8)
+        yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
+        return jnp.stack([x, y, jnp.array(height)]), quaternion_from_yaw(yaw)
+
+    def wall(angle, key):
+        centre = ARENA * np.array([np.cos(angle), np.sin(angle), 0.0]) + [0, 0, WALL_HEIGHT]
+        return jnp.array(centre, dtype=jnp.float32), quaternion_from_yaw(jnp.array(angle + np.pi))
+
+    return (
+        *(partial(on_floor, CUBE) for _ in range(6)),
+        *(partial(on_floor, CORNER_HEIGHT) for _ in range(3)),
+        *(partial(wall, angle) for angle in (0.0, np.pi / 2, np.pi, 3 * np.pi / 2)),
+    )

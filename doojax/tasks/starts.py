@@ -1,0 +1,165 @@
+"""Starts: a settled rope, somewhere, among obstacles that leave it room.
+
+A bank of settled rope shapes is simulated once per task; a start is one of them, turned and moved, with
+obstacles drawn around it. Drawing it runs no physics, so it can be jitted and vmapped by thousands.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from doojax.geometry.frames import quaternion_from_yaw, quaternion_multiply, rotate
+from doojax.geometry.sdf import signed_distance
+from doojax.simulation.scenes import Scene, obstacles_at, parked_poses
+from doojax.simulation.state import Fault, SimState
+
+CLEARANCE = 0.01  # m between the rope or a gripper and any obstacle at the start
+PLACEMENTS = 64  # tried for each obstacle
+
+Placement = Callable[[Array], tuple[Float[Array, "3"], Float[Array, "4"]]]
+"""Draws an obstacle's position (m) and quaternion (w, x, y, z) from a key."""
+
+
+class RopeBank(eqx.Module):
+    """K settled ropes of one scene."""
+
+    qpos: Float[Array, "K nq"]
+    points: Float[Array, "K P 3"]  # samples along rope and grippers, world frame, m
+    radius: Float[Array, "P"]  # m, of rope or gripper around each sample
+
+
+class RandomStart(eqx.Module):
+    """Draws a SimState; see the module."""
+
+    bank: RopeBank
+    scene: Scene = eqx.field(static=True)
+    place_rope: Callable = eqx.field(static=True)  # (key, points [P, 3]) -> translation [3], yaw []
+    placements: tuple[Placement, ...] | None = eqx.field(static=True)  # None: all obstacles parked
+
+    def __call__(self, key: Array) -> SimState:
+        """A start; `Fault.SCENE_OVERFULL` where an obstacle found no room and stays parked."""
+        shape_key, rope_key, obstacle_key = jax.random.split(key, 3)
+        shape = jax.random.randint(shape_key, (), 0, self.bank.qpos.shape[0])
+        translation, yaw = self.place_rope(rope_key, self.bank.points[shape])
+        qpos = moved(self.scene, self.bank.qpos[shape], translation, yaw)
+        points = rotate(quaternion_from_yaw(yaw), self.bank.points[shape]) + translation
+        position, quaternion = parked_poses(len(self.scene.obstacles))
+        overfull = jnp.array(False)
+        if self.placements is not None:
+            position, quaternion, overfull = self._place_obstacles(obstacle_key, points)
+        return SimState(
+            qpos=qpos,
+            qvel=jnp.zeros(_degrees_of_freedom(self.scene)),
+            obstacle_position=position,
+            obstacle_quaternion=quaternion,
+            holding=jnp.ones(len(self.scene.grippers), dtype=bool),
+            faults=jnp.where(overfull, int(Fault.SCENE_OVERFULL), 0),
+            model_fields={},
+        )
+
+    def _place_obstacles(
+        self, key: Array, points: Float[Array, "P 3"]
+    ) -> tuple[Float[Array, "B 3"], Float[Array, "B 4"], Bool[Array, ""]]:
+        positions, quaternions, placed = [], [], []
+        parked_position, parked_quaternion = parked_poses(1)
+        keys = jax.random.split(key, len(self.scene.obstacles))
+        for obstacle, placement, own_key in zip(self.scene.obstacles, self.placements, keys, strict=True):
+            alone = replace(self.scene, obstacles=(obstacle,))
+
+            def clear(position, quaternion, alone=alone):
+                body = obstacles_at(alone, position[None], quaternion[None])
+                return (signed_distance(body, points) - self.bank.radius).min() > CLEARANCE
+
+            position, quaternion = jax.vmap(placement)(jax.random.split(own_key, PLACEMENTS))
+            accepted = jax.vmap(clear)(position, quaternion)
+            first = jnp.argmax(accepted)
+            positions.append(jnp.where(accepted.any(), position[first], parked_position[0]))
+            quaternions.append(jnp.where(accepted.any(), quaternion[first], parked_quaternion[0]))
+            placed.append(accepted.any())
+        return jnp.stack(positions), jnp.stack(quaternions), ~jnp.stack(placed).all()
+
+
+def moved(
+    scene: Scene, qpos: Float[Array, "nq"], translation: Float[Array, "3"], yaw: Float[Array, ""]
+) -> Float[Array, "nq"]:
+    """Turn rope and grippers about the world's z axis by ``yaw`` (rad), then move them by ``translation`` (m)."""
+    turn = quaternion_from_yaw(yaw)
+    if scene.planar:
+        root, grippers = qpos[:4], qpos[-2 * len(scene.grippers) :].reshape(-1, 2)
+        origin = jnp.array([_middle_offset(scene), 0.0, 0.0])
+        point = rotate(turn, jnp.append(root[:2], 0.0) + origin) + translation - origin
+        root = jnp.stack([point[0], point[1], root[2], root[3] + yaw])
+        flat = jnp.concatenate([grippers, jnp.zeros((grippers.shape[0], 1))], axis=1)
+        grippers = (rotate(turn, flat) + translation)[:, :2]
+        count, width = 4, 2
+    else:
+        root = jnp.concatenate(
+            [rotate(turn, qpos[:3]) + translation, quaternion_multiply(turn, qpos[3:7])]
+        )
+        grippers = rotate(turn, qpos[-3 * len(scene.grippers) :].reshape(-1, 3)) + translation
+        count, width = 7, 3
+    inner = qpos[count : qpos.shape[0] - width * len(scene.grippers)]
+    return jnp.concatenate([root, inner, grippers.reshape(-1)])
+
+
+def settle_bank(
+    scene: Scene, starts: Float[np.ndarray, "K nq"], actions: Float[np.ndarray, "K T G 3"]
+) -> RopeBank:
+    """Simulate K ropes through T control periods on MuJoCo C, without obstacles, and keep the last states.
+
+    Raises RuntimeError if a rope comes out unstable.
+    """
+    from doojax.simulation.engines.mujoco import MujocoSimulator
+
+    count = len(starts)
+    position, quaternion = parked_poses(len(scene.obstacles))
+    states = SimState(
+        qpos=jnp.asarray(starts),
+        qvel=jnp.zeros((count, _degrees_of_freedom(scene))),
+        obstacle_position=jnp.tile(position, (count, 1, 1)),
+        obstacle_quaternion=jnp.tile(quaternion, (count, 1, 1)),
+        holding=jnp.ones((count, len(scene.grippers)), dtype=bool),
+        faults=jnp.zeros(count, dtype=jnp.int32),
+        model_fields={},
+    )
+    simulator = MujocoSimulator(scene, start=lambda key: states)
+    last, trajectory = simulator.rollout(states, jnp.asarray(actions))
+    if np.any(trajectory.faults):
+        raise RuntimeError(f"the rope of scene {scene.name!r} is unstable on its own: change its parameters")
+    seen = simulator.observations(last)
+    links = scene.rope_model.links
+    steps = np.linspace(-1, 1, 3)[:, None, None]
+    points = (seen.rope.points[:, None] + steps * seen.half_links[:, None]).reshape(count, -1, 3)
+    radius = [scene.rope.radius] * (3 * links) + [gripper.radius for gripper in scene.grippers]
+    return RopeBank(
+        qpos=last.qpos,
+        points=jnp.concatenate([jnp.asarray(points), jnp.asarray(seen.rope.grippers)], axis=1),
+        radius=jnp.array(radius),
+    )
+
+
+def straight_qpos(scene: Scene, height: float) -> Float[np.ndarray, "nq"]:
+    """Generalised positions of the rope straight along x at ``height`` (m), grippers at the ends they hold."""
+    links, length = scene.rope_model.links, scene.rope.length
+    pitch = length / links
+    holds = [(g.link + 0.5 + g.end / 2) * pitch - length / 2 for g in scene.grippers]
+    if scene.planar:
+        return np.concatenate([np.zeros(3 + links), *([x, 0.0] for x in holds)])
+    root = [_middle_offset(scene), 0.0, height, 1.0, 0.0, 0.0, 0.0]
+    return np.concatenate([root, np.zeros(3 * (links - 1)), *([x, 0.0, height] for x in holds)])
+
+
+def _middle_offset(scene: Scene) -> float:
+    """Where the rope's root link lies along x in the model's reference pose."""
+    links = scene.rope_model.links
+    return (links // 2 + 0.5) * scene.rope.length / links - scene.rope.length / 2
+
+
+def _degrees_of_freedom(scene: Scene) -> int:
+    links, grippers = scene.rope_model.links, len(scene.grippers)
+    return 4 + (links - 1) + 2 * grippers if scene.planar else 6 + 3 * (links - 1) + 3 * grippers
