@@ -22,7 +22,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from doojax.topology.linking import Grid, crossings, is_closed
+from doojax.topology.linking import Grid, check_points, crossings, is_closed
 from doojax.topology.signatures import Signature, canonical
 from doojax.topology.skeletons import Skeleton
 
@@ -86,17 +86,17 @@ def make_grasps(
         ValueError: naming the item: it is not finite or of a wrong shape, two points of the rope in a row are
             the same, a location is outside [0, 1], or there are more holders than there is room for.
     """
-    rope, base = _checked(rope, "the rope", (None, 3)), _checked(base, "the base", (3,))
-    if len(rope) < 2:
-        raise ValueError(f"the rope has {len(rope)} points; expected at least two")
-    still = (rope[1:] == rope[:-1]).all(axis=1)
+    points, origin = check_points(rope, "the rope"), check_points(np.asarray(base)[None], "the base")[0]
+    if len(points) < 2:
+        raise ValueError(f"the rope has {len(points)} points; expected at least two")
+    still = (points[1:] == points[:-1]).all(axis=1)
     if still.any():
         raise ValueError(f"the rope has a link without length at point {np.argmax(still)}; drop that point")
     fields = [
-        *_padded(base, grippers, max_grippers, "gripper"),
-        *_padded(base, attachments or {}, max_attachments, "attachment"),
+        *_padded(origin, grippers, max_grippers, "gripper"),
+        *_padded(origin, attachments or {}, max_attachments, "attachment"),
     ]
-    return Grasps(*map(jnp.asarray, [rope, base, *fields]))
+    return Grasps(*map(jnp.asarray, [points, origin, *fields]))
 
 
 def _padded(
@@ -108,27 +108,15 @@ def _padded(
         raise ValueError(f"{len(holders)} {kind}s ({', '.join(holders)}) are given; there is room for {room}")
     paths, locations = [], np.zeros(room)
     for place, (name, holder) in enumerate(holders.items()):
-        if not 0 <= holder.location <= 1:
-            raise ValueError(f"the location of {kind} {name!r} is {holder.location}; expected 0 to 1")
+        if not (isinstance(holder.location, int | float) and 0 <= holder.location <= 1):
+            raise ValueError(f"the location of {kind} {name!r} is {holder.location!r}; expected 0 to 1")
         locations[place] = holder.location
-        path = np.reshape(holder.path, (0, 3)) if np.size(holder.path) == 0 else holder.path
-        paths.append(np.vstack([base, _checked(path, f"the path of {kind} {name!r}", (None, 3))]))
+        paths.append(np.vstack([base, check_points(holder.path, f"the path of {kind} {name!r}")]))
     longest = max(map(len, paths), default=1)
     padded = np.zeros((room, longest - 1, 3))
     for place, path in enumerate(paths):
         padded[place] = np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge")[1:]
     return padded, locations, np.arange(room) < len(holders)
-
-
-def _checked(points: ArrayLike, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    array = np.asarray(points)
-    fits = array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
-    if not fits or array.dtype.kind not in "iuf":
-        wanted = ["points" if n is None else n for n in shape]
-        raise ValueError(f"{name} has shape {array.shape} and type {array.dtype}; expected numbers {wanted}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} is not finite")
-    return array.astype(float)
 
 
 def signature(grasps: Grasps, skeleton: Skeleton, *, remove_empty: bool = True) -> Signature:

@@ -111,11 +111,7 @@ def check_loop(points: ArrayLike, name: str) -> Float[np.ndarray, "P 3"]:
     Raises:
         ValueError: naming the loop, what is wrong with it and where.
     """
-    loop = np.asarray(points)
-    if loop.ndim != 2 or loop.shape[1] != 3 or loop.dtype.kind not in "iuf":
-        raise ValueError(f"{name} has shape {loop.shape} and type {loop.dtype}; expected numbers [points, 3]")
-    if not np.isfinite(loop).all():
-        raise ValueError(f"{name} is not finite at point {np.argmin(np.isfinite(loop).all(axis=1))}")
+    loop = check_points(points, name)
     if len(loop) < 4:
         raise ValueError(f"{name} has {len(loop)} points; expected at least three, and the first one again")
     if (loop[0] != loop[-1]).any():
@@ -126,7 +122,29 @@ def check_loop(points: ArrayLike, name: str) -> Float[np.ndarray, "P 3"]:
     still = (loop[1:] == loop[:-1]).all(axis=1)
     if still.any():
         raise ValueError(f"{name} has a segment without length at point {np.argmax(still)}; drop that point")
-    return loop.astype(float)
+    return loop
+
+
+def check_points(points: ArrayLike, name: str) -> Float[np.ndarray, "P 3"]:
+    """The points as an array, if they are finite and have three coordinates each.
+
+    Raises:
+        ValueError: naming them, what is wrong and where.
+    """
+    try:
+        array = np.asarray(points)
+    except ValueError as error:  # rows of different lengths
+        raise ValueError(f"{name} is no list of points with three coordinates each: {error}") from error
+    if array.size == 0:
+        return np.zeros((0, 3))
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iuf":
+        raise ValueError(
+            f"{name} has shape {array.shape} and type {array.dtype}; expected points with three coordinates"
+        )
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"{name} is not finite at point {np.argmin(finite)}")
+    return array.astype(float)
 
 
 def is_closed(loop: Float[Array, "P 3"]) -> Bool[Array, ""]:

@@ -95,8 +95,8 @@ def obstacle_skeleton(obstacles: Obstacles, resolution: float) -> Skeleton:
     grid = grid_covering(tuple(low.tolist()), tuple(high.tolist()), resolution)
     if math.prod(grid.shape) > _MOST_VOXELS:
         raise ValueError(
-            f"a grid of {' x '.join(map(str, grid.shape))} voxels is beyond {_MOST_VOXELS}: increase resolution "
-            f"({resolution} m), or leave out what has no handles, such as a floor"
+            f"a grid of {' x '.join(map(str, grid.shape))} voxels is beyond {_MOST_VOXELS}: increase "
+            f"resolution ({resolution} m), or leave out what has no handles, such as a floor"
         )
     across = jnp.array([resolution, 0, 0])
     slab = eqx.filter_jit(occupancy)

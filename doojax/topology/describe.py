@@ -1,0 +1,111 @@
+"""Scenes described in a file, and `doojax signature`, which prints the signature of one.
+
+A description is a JSON object; lengths are in metres, points are [x, y, z], loops repeat their first point:
+
+    {
+      "skeleton": {"ring": [[0.5, -1, -1], [0.5, 1, -1], [0.5, 1, 1], [0.5, -1, 1], [0.5, -1, -1]]},
+      "rope": [[0, 0, 0], [0.5, 0, 0], [1, 0, 0]],
+      "base": [0, -2, 0],
+      "grippers": {"right": {"location": 0.9, "path": [[1, -2, 0], [1, -0.1, 0]]}},
+      "attachments": {"wall": {"location": 0, "path": []}}
+    }
+
+A location is a fraction of the rope. A path leads from the base, which it does not repeat, to the gripper or
+attachment; it may be empty, and "attachments" may be left out.
+"""
+
+import json
+from collections.abc import Mapping, Set
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from doojax.topology import grasp_loops
+from doojax.topology.grasp_loops import Grasps, Holder, loops_of, make_grasps
+from doojax.topology.linking import linking_of
+from doojax.topology.skeletons import Skeleton, make_skeleton
+
+_FIELDS = {"skeleton", "rope", "base", "grippers", "attachments"}
+
+
+class Scene(NamedTuple):
+    """A described scene."""
+
+    grasps: Grasps
+    skeleton: Skeleton
+    holders: tuple[str, ...]  # names of the grippers, then of the attachments
+
+
+def read_scene(file: Path | str) -> Scene:
+    """Read and check the description of a scene.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is not JSON, or an item of it is missing, unknown or wrong; the message says which.
+    """
+    file = Path(file)
+    try:
+        content = _fields_of(
+            json.loads(file.read_text(encoding="utf-8")), "the scene", _FIELDS, {"attachments"}
+        )
+        grippers, attachments = (
+            {
+                name: Holder(**_fields_of(item, f"{kind} {name!r}", {"location", "path"}))
+                for name, item in _named(content[f"{kind}s"], kind).items()
+            }
+            for kind in ("gripper", "attachment")
+        )
+        skeleton = make_skeleton(_named(content["skeleton"], "skeleton loop"))
+        grasps = make_grasps(content["rope"], content["base"], grippers, attachments)
+    except ValueError as error:
+        raise ValueError(f"{file} does not describe a scene: {error}") from error
+    return Scene(grasps, skeleton, (*grippers, *attachments))
+
+
+def signature(file: Path, /, *, keep_empty: bool = False) -> None:
+    """Print the grasp loop signature of the scene that a JSON file describes, and what it is made of.
+
+    For each grasp loop follow its linking number, with sign, and its distance from each obstacle loop.
+
+    Args:
+        file: the description; its format is in docs/topology.md.
+        keep_empty: keep loops between two grippers that are linked with nothing.
+
+    Raises:
+        ValueError: the file does not describe a scene, or a grasp loop touches an obstacle loop.
+    """
+    scene = read_scene(file)
+    loops = loops_of(scene.grasps)
+    pairs = jax.vmap(jax.vmap(linking_of, (None, 0)), (0, None))(loops.points, scene.skeleton.loops)
+    lines = []
+    for place in np.flatnonzero(loops.active):
+        holders = " - ".join(scene.holders[end] for end in np.asarray(loops.holders[place]))
+        lines.append(holders)
+        for other, name in enumerate(scene.skeleton.names):
+            margin = float(pairs.margin[place, other])
+            if pairs.touching[place, other]:
+                raise ValueError(
+                    f"grasp loop {holders} and skeleton loop {name!r} touch: their least distance is "
+                    f"{margin:.3g} m, so that their linking number is not defined"
+                )
+            lines.append(f"  {name}: {int(pairs.number[place, other]):+d}, {margin:.4f} m away")
+    print(grasp_loops.signature(scene.grasps, scene.skeleton, remove_empty=not keep_empty))
+    print(*(lines or ["no grasp loops"]), sep="\n")
+
+
+def _named(items: Any, kind: str) -> Mapping[str, Any]:
+    if not isinstance(items, dict):
+        raise ValueError(f"the {kind}s are {items!r}; expected an object with a name for each")
+    return items
+
+
+def _fields_of(item: Any, name: str, fields: Set[str], optional: Set[str] = frozenset()) -> dict[str, Any]:
+    """The item, if it is an object with these fields, of which the optional ones may lack, and no other."""
+    if not isinstance(item, dict):
+        raise ValueError(f"{name} is {item!r}; expected an object")
+    for wrong, problem in ((fields - optional - set(item), "lacks"), (set(item) - fields, "has unknown")):
+        if wrong:
+            raise ValueError(f"{name} {problem} {', '.join(sorted(wrong))}")
+    return item
