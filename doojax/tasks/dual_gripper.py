@@ -38,7 +38,7 @@ SETTLE_PERIODS = 4
 
 def scene() -> Scene:
     """25 links of 3.2 cm between two grippers, a table, five boxes and two hooks on it."""
-    grip = {"radius": 0.01, "max_force": 10.0, "max_speed": 0.15}
+    grip = {"radius": 0.01, "max_force": 5.0, "max_speed": 0.15}
     table = Obstacle("table", (_box((0.8, 1.5, 0.12)),), friction=0.6)
     boxes = [Obstacle(f"box{i}", (_box(size),), friction=1.0) for i, size in enumerate(BOXES)]
     hooks = [  # a post and, on top of it, a shelf or a bar; offsets from the post's centre
@@ -52,9 +52,9 @@ def scene() -> Scene:
             length=LENGTH,
             radius=RADIUS,
             mass=0.2,
-            bending_stiffness=1e-5,
-            twisting_stiffness=1e-5,
-            bending_damping=3e-5,
+            bending_stiffness=5e-5,
+            twisting_stiffness=5e-5,
+            bending_damping=2e-4,
             friction=0.5,
         ),
         grippers=(Gripper(link=0, end=-1, **grip), Gripper(link=LINKS - 1, end=1, **grip)),

@@ -14,7 +14,6 @@ closer ones are reported.
 """
 
 import functools
-from typing import Self
 
 import equinox as eqx
 import jax
@@ -46,11 +45,11 @@ class Grid(eqx.Module):
     corner: Float[Array, "3"]
     size: Float[Array, ""]  # longest side of the bounding box, metres
 
-    @classmethod
-    def over(cls, points: Float[Array, "3 P"]) -> Self:
+    @staticmethod
+    def over(points: Float[Array, "3 P"]) -> "Grid":
         """The grid over the bounding box of points. One row per axis, here and below, vectorises best."""
         low = jnp.min(points, axis=1)
-        return cls(low, jnp.max(jnp.max(points, axis=1) - low))
+        return Grid(low, jnp.max(jnp.max(points, axis=1) - low))
 
     def snap(self, points: Float[Array, "3 P"]) -> Float[Array, "3 P"]:
         """Coordinates in cells: whole numbers, as float32."""

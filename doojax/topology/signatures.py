@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import Self
 
 import equinox as eqx
 import jax
@@ -28,8 +27,8 @@ class Signature(eqx.Module):
     ]  # least distance of a grasp loop from an obstacle loop, metres; inf without any
     touching: Bool[Array, "*b"]  # some two loops touch, or input was malformed (margin NaN): do not trust it
 
-    @classmethod
-    def of(cls, vectors: Sequence[Sequence[int]], obstacle_loops: int) -> Self:
+    @staticmethod
+    def of(vectors: Sequence[Sequence[int]], obstacle_loops: int) -> "Signature":
         """A given multiset, such as a goal: ``Signature.of([(1, 0), (0, 1)], 2)``; ``[]`` is the empty one.
 
         Raises:
@@ -45,7 +44,9 @@ class Signature(eqx.Module):
         rows = np.array(sorted(map(tuple, vectors), reverse=True), np.int32).reshape(
             len(vectors), obstacle_loops
         )
-        return cls(jnp.asarray(rows), jnp.asarray(len(vectors)), jnp.asarray(jnp.inf), jnp.asarray(False))
+        return Signature(
+            jnp.asarray(rows), jnp.asarray(len(vectors)), jnp.asarray(jnp.inf), jnp.asarray(False)
+        )
 
     @property
     def vectors(self) -> tuple[tuple[int, ...], ...]:
@@ -130,18 +131,18 @@ class Blocklist(eqx.Module):
     entries: Signature  # with C as batch axis
     length: Int[Array, ""]  # so many of them are used
 
-    @classmethod
-    def empty(cls, capacity: int, like: Signature) -> Self:
+    @staticmethod
+    def empty(capacity: int, like: Signature) -> "Blocklist":
         """A list for `capacity` signatures of the shape of a given one."""
         copies = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (capacity, *leaf.shape)), like)
-        return cls(copies, jnp.asarray(0))
+        return Blocklist(copies, jnp.asarray(0))
 
     def contains(self, signature: Signature) -> Bool[Array, ""]:
         """Is this signature on the list?"""
         matches = jax.vmap(same, (None, 0))(signature, self.entries)
         return jnp.any(matches & (jnp.arange(len(matches)) < self.length))
 
-    def add(self, signature: Signature) -> Self:
+    def add(self, signature: Signature) -> "Blocklist":
         """The list with this signature on it; unchanged if it was there.
 
         Raises:
@@ -162,4 +163,4 @@ class Blocklist(eqx.Module):
         )
         place = jnp.where(known, capacity, length)  # beyond the end: dropped
         entries = jax.tree.map(lambda old, new: old.at[place].set(new, mode="drop"), self.entries, signature)
-        return type(self)(entries, length + ~known)
+        return Blocklist(entries, length + ~known)
