@@ -23,6 +23,9 @@ type Commands = Mapping[str, tuple[str | Commands, str]]
 BENCHMARKS: Commands = {}
 
 COMMANDS: Commands = {
+    "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
+    "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
+    "replay": ("doojax.datasets.replay:replay", "simulate a stored trajectory again"),
     "report": ("doojax.experiments.tables:report", "write the tables of README and docs from results/"),
 }
 

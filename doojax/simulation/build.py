@@ -1,6 +1,7 @@
 """From a `Scene` to the MuJoCo model that every engine runs."""
 
 from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -135,7 +136,9 @@ def _geom_of(shape: Shape) -> tuple[mujoco.mjtGeom, list[float], list[float]]:
     return kind, size, list(shape.offset)
 
 
-def _add_gripper(spec: mujoco.MjSpec, scene: Scene, rope: RopeParameters, gripper: Gripper, index: int) -> None:
+def _add_gripper(
+    spec: mujoco.MjSpec, scene: Scene, rope: RopeParameters, gripper: Gripper, index: int
+) -> None:
     """A sphere on slides whose coordinates are its world position, and the switchable hold on the rope."""
     name = f"gripper{index}"
     body = spec.worldbody.add_body(name=name, pos=[0, 0, rope.radius if scene.planar else 0])

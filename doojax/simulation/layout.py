@@ -88,7 +88,8 @@ def stretch(scene: Scene, holding: Float[Array, "G"], seen: Observation) -> Floa
 def gripper_targets(scene: Scene, start: Any, action: Any, xp: Any = jnp) -> Any:
     """Commands of one control period, ``[*b, S, G D]``, from gripper positions and actions ``[*b, G, D]``.
 
-    The target moves in a straight line at the gripper's maximum speed and then stays. ``xp`` is jax.numpy or numpy.
+    The target moves in a straight line at the gripper's maximum speed and then stays. ``xp`` is
+    jax.numpy or numpy.
     """
     distance = xp.maximum((action**2).sum(-1) ** 0.5, 1e-9)
     speed = xp.array([gripper.max_speed for gripper in scene.grippers])

@@ -69,9 +69,9 @@ def add_rope(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, heig
     if model.kind == "point_masses":
         if rope.bending_stiffness or rope.twisting_stiffness or rope.bending_damping:
             raise ValueError(
-                "a rope of point masses is limp: bending_stiffness, twisting_stiffness and bending_damping must "
-                f"be 0, got {rope.bending_stiffness}, {rope.twisting_stiffness} and {rope.bending_damping}; use "
-                "kind='capsule_chain' for a rope that resists bending"
+                "a rope of point masses is limp: bending_stiffness, twisting_stiffness and bending_damping "
+                f"must be 0, got {rope.bending_stiffness}, {rope.twisting_stiffness} and "
+                f"{rope.bending_damping}; use kind='capsule_chain' for a rope that resists bending"
             )
         _add_point_masses(spec, model, rope, height)
     else:
@@ -118,7 +118,12 @@ def _add_root_joints(body: "mujoco.MjsBody", planar: bool) -> None:
 
 
 def _add_bending_joints(
-    spec: "mujoco.MjSpec", body: "mujoco.MjsBody", rope: RopeParameters, pitch: float, anchor: float, planar: bool
+    spec: "mujoco.MjSpec",
+    body: "mujoco.MjsBody",
+    rope: RopeParameters,
+    pitch: float,
+    anchor: float,
+    planar: bool,
 ) -> None:
     """Hinges about z, and for a rope in space about y and x: bending, bending, twisting.
 

@@ -15,7 +15,12 @@ from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.types import Obstacles, ShapeKind
 
 PARKED_POSITION = (0.0, 0.0, -10.0)
-PARKED_QUATERNION = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)  # turns +x up, so that a parked wall is a floor far below
+PARKED_QUATERNION = (
+    0.5**0.5,
+    0.0,
+    -(0.5**0.5),
+    0.0,
+)  # +x up: a parked wall is a floor far below
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,19 @@ class Scene:
         return self.rope_model.kind == "planar_chain"
 
     @property
+    def nq(self) -> int:
+        """Number of generalised positions: the rope's, then each gripper's."""
+        free_root = self.rope_model.kind == "capsule_chain"
+        return self.nv + int(free_root)  # a quaternion has four numbers
+
+    @property
+    def nv(self) -> int:
+        """Number of degrees of freedom."""
+        links, hands = self.rope_model.links, len(self.grippers)
+        rope = {"planar_chain": links + 3, "capsule_chain": 3 * links + 3, "point_masses": 3 * links}
+        return rope[self.rope_model.kind] + (2 if self.planar else 3) * hands
+
+    @property
     def control_period(self) -> float:
         """Seconds of physics per action."""
         return self.timestep * self.substeps
@@ -104,12 +122,12 @@ class Scene:
 
 def parked_poses(count: int) -> tuple[Float[Array, "{count} 3"], Float[Array, "{count} 4"]]:
     """Positions and quaternions (w, x, y, z) that take ``count`` obstacles out of the scene."""
-    return jnp.tile(jnp.array(PARKED_POSITION), (count, 1)), jnp.tile(jnp.array(PARKED_QUATERNION), (count, 1))
+    return jnp.tile(jnp.array(PARKED_POSITION), (count, 1)), jnp.tile(
+        jnp.array(PARKED_QUATERNION), (count, 1)
+    )
 
 
-def obstacles_at(
-    scene: Scene, position: Float[Array, "B 3"], quaternion: Float[Array, "B 4"]
-) -> Obstacles:
+def obstacles_at(scene: Scene, position: Float[Array, "B 3"], quaternion: Float[Array, "B 4"]) -> Obstacles:
     """The primitives of the scene's B obstacle bodies at the given poses (world frame, m; (w, x, y, z)).
 
     A body below z = -5 m counts as parked: its primitives are inactive.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from enum import IntFlag
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -38,6 +38,7 @@ Start = Callable[[Array], SimState]
 """Draws a start from a random key."""
 
 
+@runtime_checkable
 class Simulator(Protocol):
     """One scene on one engine. `reset`, `step` and `observe` take one element; `rollout` takes a batch."""
 
@@ -51,6 +52,10 @@ class Simulator(Protocol):
 
     def observe(self, state: SimState) -> RopeState:
         """Link centres and gripper positions, world frame, metres."""
+        ...
+
+    def observations(self, states: SimState) -> Any:
+        """A batch of `doojax.simulation.layout.Observation`: also the links' directions."""
         ...
 
     def obstacles(self, state: SimState) -> Obstacles:

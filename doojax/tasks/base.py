@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 from doojax.types import Obstacles, RopeState
 
 if TYPE_CHECKING:
+    from doojax.simulation.scenes import Scene
     from doojax.simulation.state import Simulator
 
 Phase = Literal["unconstrained", "constrained"]
@@ -28,6 +29,16 @@ class Task(Protocol):
     @property
     def name(self) -> str:
         """The name that `make_task` knows it by."""
+        ...
+
+    @property
+    def scene(self) -> "Scene":
+        """What is simulated; the same in both phases, because obstacles are data."""
+        ...
+
+    @property
+    def trajectory_states(self) -> dict[str, int]:
+        """States of a trajectory in the thesis's data, by phase."""
         ...
 
     @property

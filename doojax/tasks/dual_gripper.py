@@ -1,6 +1,6 @@
-"""Hold a rope by both ends over a cluttered table and bring its midpoint to a point (thesis section 2.5.3)."""
+"""Hold a rope by both ends over a cluttered table, bring its midpoint to a point (thesis section 2.5.3)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import jax
@@ -29,16 +29,19 @@ REACH = {  # of gripper targets
     "unconstrained": Box((0.4, -0.7, 0.5), (1.4, 0.7, 1.5)),
     "constrained": Box((0.5, -0.6, 0.6), (1.2, 0.6, 1.2)),
 }
-MAX_GAP = {"unconstrained": 0.70, "constrained": 0.78}  # m between the grippers: the rope is never pulled taut
+MAX_GAP = {
+    "unconstrained": 0.70,
+    "constrained": 0.78,
+}  # m between the grippers
 MAX_ACTION = 0.10  # m, each gripper
 REPEAT_PROBABILITY = 0.8
 BANK = 128
 SETTLE_PERIODS = 4
 
 
-def scene() -> Scene:
+def default_scene() -> Scene:
     """25 links of 3.2 cm between two grippers, a table, five boxes and two hooks on it."""
-    grip = {"radius": 0.01, "max_force": 5.0, "max_speed": 0.15}
+    hold = partial(Gripper, radius=0.01, max_force=5.0, max_speed=0.15)
     table = Obstacle("table", (_box((0.8, 1.5, 0.12)),), friction=0.6)
     boxes = [Obstacle(f"box{i}", (_box(size),), friction=1.0) for i, size in enumerate(BOXES)]
     hooks = [  # a post and, on top of it, a shelf or a bar; offsets from the post's centre
@@ -57,7 +60,7 @@ def scene() -> Scene:
             bending_damping=2e-4,
             friction=0.5,
         ),
-        grippers=(Gripper(link=0, end=-1, **grip), Gripper(link=LINKS - 1, end=1, **grip)),
+        grippers=(hold(link=0, end=-1), hold(link=LINKS - 1, end=1)),
         obstacles=(table, *boxes, *hooks),
         timestep=0.005,
         substeps=180,
@@ -76,11 +79,12 @@ class DualGripper:
     name: str = "dual_gripper"
     grippers: int = 2
     goal_threshold: float = 0.05
+    scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
 
-    @cached_property
-    def scene(self) -> Scene:
-        """The scene of both phases: in phase one table and obstacles are parked."""
-        return scene()
+    @property
+    def trajectory_states(self) -> dict[str, int]:
+        """States of a trajectory in the thesis's data, by phase."""
+        return {"unconstrained": 10, "constrained": 20}
 
     @cached_property
     def _bank(self):
@@ -97,9 +101,7 @@ class DualGripper:
         speed = self.scene.grippers[0].max_speed * self.scene.control_period
         moves = int(np.ceil(np.abs(target - start).max() * 1.5 / speed))
         step = (target - start)[:, None] / moves
-        actions = np.concatenate(
-            [np.repeat(step, moves, 1), np.zeros((BANK, SETTLE_PERIODS, 2, 3))], axis=1
-        )
+        actions = np.concatenate([np.repeat(step, moves, 1), np.zeros((BANK, SETTLE_PERIODS, 2, 3))], axis=1)
         return settle_bank(self.scene, np.tile(straight_qpos(self.scene, 1.0), (BANK, 1)), actions)
 
     def start(self, phase: Phase = "constrained"):
@@ -147,7 +149,9 @@ class DualGripper:
 
         inside = REACH[phase].clip(state.grippers)
         closing = 0.9 * (inside - inside.mean(0)) + inside.mean(0) - state.grippers
-        closing = closing * jnp.minimum(1.0, MAX_ACTION / (jnp.linalg.norm(closing, axis=-1, keepdims=True) + 1e-9))
+        closing = closing * jnp.minimum(
+            1.0, MAX_ACTION / (jnp.linalg.norm(closing, axis=-1, keepdims=True) + 1e-9)
+        )
         fresh = first_valid(draw_key, draw, valid, fallback=closing)
         return jnp.where(repeat & valid(previous), previous, fresh)
 

@@ -1,6 +1,6 @@
 """Drag a rope over the floor among boxes and corners until its tail is at a point (thesis section 2.5.2)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import jax
@@ -24,9 +24,9 @@ REPEAT_PROBABILITY = 0.8
 BANK = 64
 
 
-def scene() -> Scene:
+def default_scene() -> Scene:
     """10 planar links of 5 cm on the floor, 6 cubes, 3 corners, 4 walls."""
-    cube = Shape(ShapeKind.BOX, (CUBE,) * 3)
+    cube = Shape(ShapeKind.BOX, (CUBE, CUBE, CUBE))
     corner = (
         Shape(ShapeKind.BOX, (0.25, 0.04, CORNER_HEIGHT)),
         Shape(ShapeKind.BOX, (0.04, 0.1, CORNER_HEIGHT), offset=(0.21, 0.1, 0.0)),
@@ -54,19 +54,20 @@ def scene() -> Scene:
 class RopeDragging:
     """One gripper, planar; the tail (point 0) is to come within 5 cm of a point.
 
-    The arena, rope, obstacle sizes and action radius are those of the thesis's released code (0.15 m where the
-    thesis's text says 0.1 m). Obstacles are drawn uniformly rather than nudged from a grid, so that scenes
-    are independent, and stand still.
+    The arena, rope, obstacle sizes and action radius are those of the thesis's released code (0.15 m where
+    the thesis's text says 0.1 m). Obstacles are drawn uniformly rather than nudged from a grid, so that
+    scenes are independent, and stand still.
     """
 
     name: str = "rope_dragging"
     grippers: int = 1
     goal_threshold: float = 0.05
+    scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
 
-    @cached_property
-    def scene(self) -> Scene:
-        """The scene of both phases: in phase one the obstacles are parked."""
-        return scene()
+    @property
+    def trajectory_states(self) -> dict[str, int]:
+        """States of a trajectory in the thesis's data, by phase."""
+        return {"unconstrained": 10, "constrained": 50}
 
     @cached_property
     def _bank(self):

@@ -51,10 +51,10 @@ class RandomStart(eqx.Module):
         position, quaternion = parked_poses(len(self.scene.obstacles))
         overfull = jnp.array(False)
         if self.placements is not None:
-            position, quaternion, overfull = self._place_obstacles(obstacle_key, points)
+            position, quaternion, overfull = self._place_obstacles(self.placements, obstacle_key, points)
         return SimState(
             qpos=qpos,
-            qvel=jnp.zeros(_degrees_of_freedom(self.scene)),
+            qvel=jnp.zeros(self.scene.nv),
             obstacle_position=position,
             obstacle_quaternion=quaternion,
             holding=jnp.ones(len(self.scene.grippers), dtype=bool),
@@ -63,12 +63,12 @@ class RandomStart(eqx.Module):
         )
 
     def _place_obstacles(
-        self, key: Array, points: Float[Array, "P 3"]
+        self, placements: tuple[Placement, ...], key: Array, points: Float[Array, "P 3"]
     ) -> tuple[Float[Array, "B 3"], Float[Array, "B 4"], Bool[Array, ""]]:
         positions, quaternions, placed = [], [], []
         parked_position, parked_quaternion = parked_poses(1)
         keys = jax.random.split(key, len(self.scene.obstacles))
-        for obstacle, placement, own_key in zip(self.scene.obstacles, self.placements, keys, strict=True):
+        for obstacle, placement, own_key in zip(self.scene.obstacles, placements, keys, strict=True):
             alone = replace(self.scene, obstacles=(obstacle,))
 
             def clear(position, quaternion, alone=alone):
@@ -87,7 +87,7 @@ class RandomStart(eqx.Module):
 def moved(
     scene: Scene, qpos: Float[Array, "nq"], translation: Float[Array, "3"], yaw: Float[Array, ""]
 ) -> Float[Array, "nq"]:
-    """Turn rope and grippers about the world's z axis by ``yaw`` (rad), then move them by ``translation`` (m)."""
+    """Turn rope and grippers about the world's z axis by ``yaw`` (rad), then move by ``translation`` (m)."""
     turn = quaternion_from_yaw(yaw)
     if scene.planar:
         root, grippers = qpos[:4], qpos[-2 * len(scene.grippers) :].reshape(-1, 2)
@@ -98,9 +98,7 @@ def moved(
         grippers = (rotate(turn, flat) + translation)[:, :2]
         count, width = 4, 2
     else:
-        root = jnp.concatenate(
-            [rotate(turn, qpos[:3]) + translation, quaternion_multiply(turn, qpos[3:7])]
-        )
+        root = jnp.concatenate([rotate(turn, qpos[:3]) + translation, quaternion_multiply(turn, qpos[3:7])])
         grippers = rotate(turn, qpos[-3 * len(scene.grippers) :].reshape(-1, 3)) + translation
         count, width = 7, 3
     inner = qpos[count : qpos.shape[0] - width * len(scene.grippers)]
@@ -120,7 +118,7 @@ def settle_bank(
     position, quaternion = parked_poses(len(scene.obstacles))
     states = SimState(
         qpos=jnp.asarray(starts),
-        qvel=jnp.zeros((count, _degrees_of_freedom(scene))),
+        qvel=jnp.zeros((count, scene.nv)),
         obstacle_position=jnp.tile(position, (count, 1, 1)),
         obstacle_quaternion=jnp.tile(quaternion, (count, 1, 1)),
         holding=jnp.ones((count, len(scene.grippers)), dtype=bool),
@@ -144,7 +142,7 @@ def settle_bank(
 
 
 def straight_qpos(scene: Scene, height: float) -> Float[np.ndarray, "nq"]:
-    """Generalised positions of the rope straight along x at ``height`` (m), grippers at the ends they hold."""
+    """Generalised positions: rope straight along x at ``height`` (m), grippers at the ends they hold."""
     links, length = scene.rope_model.links, scene.rope.length
     pitch = length / links
     holds = [(g.link + 0.5 + g.end / 2) * pitch - length / 2 for g in scene.grippers]
@@ -158,8 +156,3 @@ def _middle_offset(scene: Scene) -> float:
     """Where the rope's root link lies along x in the model's reference pose."""
     links = scene.rope_model.links
     return (links // 2 + 0.5) * scene.rope.length / links - scene.rope.length / 2
-
-
-def _degrees_of_freedom(scene: Scene) -> int:
-    links, grippers = scene.rope_model.links, len(scene.grippers)
-    return 4 + (links - 1) + 2 * grippers if scene.planar else 6 + 3 * (links - 1) + 3 * grippers

@@ -18,10 +18,8 @@ def available_engines() -> tuple[str, ...]:
     return ("mujoco", "mjx", "warp") if importlib.util.find_spec("warp") else ("mujoco", "mjx")
 
 
-def make_simulator(scene: Scene, start: Start, engine: str = "auto") -> Simulator:
-    """``scene`` on an engine: mujoco (C, threads), mjx, warp (MJX's NVIDIA implementation) or auto.
-
-    ``auto`` is MJX on an accelerator and MuJoCo C on a CPU, where it is several times faster.
+def resolve_engine(engine: str) -> str:
+    """The engine that ``engine`` stands for: ``auto`` is mjx on an accelerator and mujoco on a CPU.
 
     Raises:
         ValueError: for an unknown engine.
@@ -32,13 +30,22 @@ def make_simulator(scene: Scene, start: Start, engine: str = "auto") -> Simulato
     if engine == "auto":
         import jax
 
-        engine = "mujoco" if jax.default_backend() == "cpu" else "mjx"
+        return "mujoco" if jax.default_backend() == "cpu" else "mjx"
+    if engine not in available_engines():
+        raise ModuleNotFoundError("engine 'warp' needs the package warp-lang: pip install 'doojax[warp]'")
+    return engine
+
+
+def make_simulator(scene: Scene, start: Start, engine: str = "auto") -> Simulator:
+    """``scene`` on an engine: mujoco (C, threads), mjx, warp (MJX's NVIDIA implementation) or auto.
+
+    Raises what `resolve_engine` raises.
+    """
+    engine = resolve_engine(engine)
     if engine == "mujoco":
         from doojax.simulation.engines.mujoco import MujocoSimulator
 
         return MujocoSimulator(scene, start)
-    if engine not in available_engines():
-        raise ModuleNotFoundError("engine 'warp' needs the package warp-lang: pip install 'doojax[warp]'")
     from doojax.simulation.engines.mjx import MjxSimulator
 
     return MjxSimulator(scene, start, impl="warp" if engine == "warp" else "jax")

@@ -74,6 +74,11 @@ class MjxSimulator(eqx.Module):
         data = mjx.kinematics(model, data)
         return read_observation(self.layout, model.geom_size, data.xpos, data.xmat, data.site_xpos)
 
+    @eqx.filter_jit
+    def observations(self, states: SimState) -> Observation:
+        """`observation` of a batch."""
+        return jax.vmap(self.observation)(states)
+
     def obstacles(self, state: SimState) -> Obstacles:
         """The primitives of the obstacles where they are."""
         return obstacles_at(self.scene, state.obstacle_position, state.obstacle_quaternion)

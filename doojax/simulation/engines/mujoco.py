@@ -34,7 +34,7 @@ class MujocoSimulator:
     """One scene on MuJoCo C; see `doojax.simulation.Simulator`. Runs outside jit."""
 
     def __init__(self, scene: Scene, start: Start, threads: int | None = None):
-        """Compile ``scene``; ``start(key)`` draws a SimState; ``threads`` defaults to the processors at hand."""
+        """Compile ``scene``; ``start(key)`` draws a SimState; ``threads``: by default one per processor."""
         self.scene = scene
         self._start = jax.jit(lambda key: start(key))
         self._model = build_model(scene)
@@ -67,11 +67,10 @@ class MujocoSimulator:
 
     def observations(self, states: SimState) -> Observation:
         """`observation` of a batch."""
-        states = jax.tree.map(np.asarray, states)
-        seen = [
-            self._observe(self._load(0, jax.tree.map(lambda leaf, i=i: leaf[i], states)), states.qpos[None, i])
-            for i in range(states.qpos.shape[0])
-        ]
+        host, seen = jax.tree.map(np.asarray, states), []
+        for index in range(states.qpos.shape[0]):
+            model = self._load(0, jax.tree.map(lambda leaf, i=index: leaf[i], host))
+            seen.append(self._observe(model, np.asarray(host.qpos)[index : index + 1]))
         return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *seen)
 
     def obstacles(self, state: SimState) -> Obstacles:
@@ -79,7 +78,11 @@ class MujocoSimulator:
         return obstacles_at(self.scene, state.obstacle_position, state.obstacle_quaternion)
 
     def rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
-        """T control periods of B elements: the bulk path. Returns the last states and all that was seen."""
+        """T control periods of B elements: the bulk path. Returns the last states and all that was seen.
+
+        Two periods in one call equal two calls with one, bit for bit: a trajectory can be replayed from its
+        first state and its actions.
+        """
         batch = actions.shape[0]
         parts = []
         for first in range(0, batch, BATCH):
@@ -87,7 +90,9 @@ class MujocoSimulator:
             parts.append(self._rollout_part(*part))
         return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
-    def _rollout_part(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+    def _rollout_part(
+        self, states: SimState, actions: Float[Array, "B T G 3"]
+    ) -> tuple[SimState, Trajectory]:
         batch, periods = actions.shape[:2]
         host = jax.tree.map(np.asarray, states)
         models = [self._load(i, jax.tree.map(lambda leaf, i=i: leaf[i], host)) for i in range(batch)]
@@ -100,12 +105,12 @@ class MujocoSimulator:
             targets = gripper_targets(self.scene, start, commands[:, period], xp=np)
             with _quiet():
                 steps, _ = self._pool.rollout(models, self._pool_data, history[:, period], targets)
-            history[:, period + 1] = steps[:, -1]
+            with np.errstate(over="ignore"):  # a state that blew up need not fit into single precision
+                history[:, period + 1] = steps[:, -1].astype(np.float32)  # as SimState holds it: see rollout
         seen = [self._observe(model, own[:, 1 : 1 + nq]) for model, own in zip(models, history, strict=True)]
         seen = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float32), *seen)
         measured = self._measure(states.obstacle_position, states.obstacle_quaternion, states.holding, seen)
-        with np.errstate(over="ignore"):  # a state that blew up need not fit into single precision
-            physics = history[:, :, 1:].astype(np.float32)
+        physics = history[:, :, 1:].astype(np.float32)
         qpos, qvel = jnp.asarray(physics[..., :nq]), jnp.asarray(physics[..., nq:])
         faults = find_faults(qpos[:, 1:], qvel[:, 1:]).astype(jnp.int32)
         last = eqx.tree_at(

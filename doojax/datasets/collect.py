@@ -1,0 +1,203 @@
+"""Collect random trajectories of a task: `doojax collect`."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from doojax.datasets.manifest import Field
+from doojax.datasets.writer import DatasetWriter
+from doojax.simulation.engines import resolve_engine
+from doojax.simulation.state import Fault, SimState, Simulator
+from doojax.tasks import make_task
+from doojax.tasks.base import Phase, Task
+from doojax.types import Obstacles, RopeState, Trajectory
+
+SHARD_SIZE = 64
+
+
+def collect(
+    task: str,
+    /,
+    *,
+    phase: Phase = "constrained",
+    trajectories: int,
+    states: int | None = None,
+    engine: str = "auto",
+    seed: int = 0,
+    out: Path,
+) -> None:
+    """Collect random trajectories of a task into a data set.
+
+    Runs on from where it was killed, to the same bytes. Trajectory i depends on the task, phase, states,
+    engine, seed and i alone: a longer collection begins with the same trajectories.
+
+    Args:
+        task: rope_dragging or dual_gripper.
+        phase: unconstrained (phase one, no obstacles) or constrained (phase two).
+        trajectories: how many.
+        states: per trajectory, one more than actions; the thesis's number by default.
+        engine: auto, mujoco, mjx or warp.
+        seed: of everything that is random.
+        out: the data set's folder; new, empty, or the same collection unfinished.
+
+    Raises:
+        ValueError: for an unknown task or engine, counts too small, or a folder that holds other data.
+    """
+    the_task = make_task(task)
+    states = the_task.trajectory_states[phase] if states is None else states
+    if trajectories < 1:
+        raise ValueError(f"trajectories is {trajectories}, expected at least 1")
+    if states < 2:
+        raise ValueError(f"states is {states}, expected at least 2: one action leads to a second state")
+    engine = resolve_engine(engine)
+    config = {"task": task, "phase": phase, "states": states, "engine": engine, "seed": seed}
+    writer = DatasetWriter.open(
+        out, config=config, schema=schema(the_task, states - 1), n=trajectories, shard_size=SHARD_SIZE
+    )
+    missing = writer.missing_shards()
+    console = Console(stderr=True)
+    if not missing:
+        console.print(f"{out} is complete already: {trajectories} trajectories")
+        return
+    simulator = the_task.simulator(engine, phase)
+    rows = [writer.manifest.rows(shard) for shard in missing]
+    faulty = 0
+    with _progress(console) as progress:
+        bar = progress.add_task(f"{task} on {engine}", total=sum(len(row) for row in rows), rate="")
+        for shard, row in zip(missing, rows, strict=True):
+            keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(jnp.array(row))
+            start, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
+            _require_room(start, row)
+            writer.write(shard, stored_arrays(simulator, start, trajectory, np.array(row)))
+            faulty += int(np.any(np.asarray(trajectory.faults) != 0, axis=1).sum())
+            done = progress.tasks[bar]
+            progress.advance(bar, len(row))
+            rate = (done.completed or 0) * (states - 1) / max(done.elapsed or 0, 1e-9)
+            progress.update(bar, rate=f"{rate:,.0f} transitions/s")
+    writer.finish()
+    console.print(f"{trajectories} trajectories of {states} states in {out}", highlight=False)
+    if faulty:
+        console.print(f"[yellow]{faulty} of them have faults: see doojax inspect {out}[/yellow]")
+
+
+def random_trajectories(
+    task: Task, simulator: Simulator, keys: Array, periods: int, phase: Phase
+) -> tuple[SimState, Trajectory]:
+    """One trajectory of random actions for each of B ``keys``: the starts and what was seen."""
+    start_keys, action_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
+    start = state = jax.jit(jax.vmap(simulator.reset))(start_keys)
+    sample = jax.jit(jax.vmap(lambda key, rope, previous: task.sample_action(key, rope, previous, phase)))
+    step_keys = jax.jit(jax.vmap(lambda key, t: jax.random.fold_in(key, t), in_axes=(0, None)))
+    rope = simulator.observations(state).rope
+    action = jnp.zeros((keys.shape[0], task.grippers, 3))
+    parts = []
+    for period in range(periods):
+        action = sample(step_keys(action_keys, period), rope, action)
+        state, part = simulator.rollout(state, action[:, None])
+        rope = jax.tree.map(lambda leaf: leaf[:, -1], part.states)
+        parts.append(part)
+    return start, joined(parts)
+
+
+def joined(parts: list[Trajectory]) -> Trajectory:
+    """Trajectories [B, T_i] of which each begins with the state that the one before ended in, as one."""
+
+    def states(leaves):
+        return jnp.concatenate([leaves[0], *(leaf[:, 1:] for leaf in leaves[1:])], axis=1)
+
+    def periods(name):
+        return jnp.concatenate([getattr(part, name) for part in parts], axis=1)
+
+    return Trajectory(
+        states=jax.tree.map(lambda *leaves: states(leaves), *(part.states for part in parts)),
+        actions=periods("actions"),
+        faults=periods("faults"),
+        clearance=states([part.clearance for part in parts]),
+        stretch=states([part.stretch for part in parts]),
+    )
+
+
+def schema(task: Task, periods: int) -> dict[str, Field]:
+    """The fields of a data set of ``task`` with ``periods`` actions a trajectory."""
+    scene, t = task.scene, periods
+    links, grippers, bodies = scene.rope_model.links, task.grippers, len(scene.obstacles)
+    shapes = sum(len(obstacle.shapes) for obstacle in scene.obstacles)
+    nan = {"may_be_missing": True}  # in a simulation that blew up
+    return {
+        "points": Field((t + 1, links, 3), "float32", "m", "centres of the rope's links, world frame", **nan),
+        "grippers": Field((t + 1, grippers, 3), "float32", "m", "gripper positions, world frame", **nan),
+        "actions": Field((t, grippers, 3), "float32", "m", "commanded gripper displacements"),
+        "faults": Field((t,), "int32", "1", "bits of doojax.simulation.Fault"),
+        "clearance": Field((t + 1,), "float32", "m", "least distance to an obstacle, negative inside", **nan),
+        "stretch": Field((t + 1,), "float32", "1", "excess of the rope's length, as a fraction", **nan),
+        "obstacle_kind": Field((shapes,), "int32", "1", "doojax.types.ShapeKind of each primitive"),
+        "obstacle_centre": Field((shapes, 3), "float32", "m", "centres of the primitives, world frame"),
+        "obstacle_quaternion": Field((shapes, 4), "float32", "1", "their orientations, (w, x, y, z)"),
+        "obstacle_half_size": Field((shapes, 3), "float32", "m", "their sizes, see doojax.types.ShapeKind"),
+        "obstacle_active": Field((shapes,), "bool", "1", "false for parked ones"),
+        "body_position": Field((bodies, 3), "float32", "m", "obstacle bodies, for replay"),
+        "body_quaternion": Field((bodies, 4), "float32", "1", "obstacle bodies, for replay"),
+        "initial_qpos": Field((scene.nq,), "float32", "m, rad", "positions at the start, for replay"),
+        "initial_qvel": Field((scene.nv,), "float32", "m/s, rad/s", "velocities at the start, for replay"),
+        "environment": Field((), "int32", "1", "trajectories with the same number share a scene"),
+    }
+
+
+def stored_arrays(
+    simulator: Simulator, start: SimState, trajectory: Trajectory, numbers: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The values of the `schema`'s fields for a batch of trajectories with these ``numbers``."""
+    obstacles: Obstacles = jax.vmap(simulator.obstacles)(start)
+    states: RopeState = trajectory.states
+    values = {
+        "points": states.points,
+        "grippers": states.grippers,
+        "actions": trajectory.actions,
+        "faults": trajectory.faults,
+        "clearance": trajectory.clearance,
+        "stretch": trajectory.stretch,
+        **{f"obstacle_{name}": value for name, value in vars(obstacles).items()},
+        "body_position": start.obstacle_position,
+        "body_quaternion": start.obstacle_quaternion,
+        "initial_qpos": start.qpos,
+        "initial_qvel": start.qvel,
+        "environment": numbers.astype(np.int32),
+    }
+    arrays = {name: np.array(value) for name, value in values.items()}
+    for name in ("points", "grippers", "clearance", "stretch"):
+        arrays[name][~np.isfinite(arrays[name])] = np.nan  # no value: the fault says why
+    return arrays
+
+
+def _require_room(start: SimState, rows: range) -> None:
+    overfull = np.flatnonzero(np.asarray(start.faults) & int(Fault.SCENE_OVERFULL))
+    if overfull.size:
+        raise ValueError(
+            f"the scene of trajectory {rows[int(overfull[0])]} is overfull: no room was found for an "
+            "obstacle beside the rope; use fewer or smaller obstacles, or a larger region for them"
+        )
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+    )

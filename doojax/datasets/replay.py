@@ -1,0 +1,141 @@
+"""Run a stored trajectory again: `doojax replay`. Also saves the elements of a rollout that failed."""
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from rich.console import Console
+from rich.table import Table
+
+from doojax.datasets.store import Dataset
+from doojax.simulation.engines import resolve_engine
+from doojax.simulation.state import Fault, SimState
+from doojax.tasks import make_task
+from doojax.types import Trajectory
+
+_STATE_FIELDS = ("qpos", "qvel", "obstacle_position", "obstacle_quaternion", "holding")
+
+
+def save_failures(
+    path: Path, task: str, starts: SimState, actions: Float[Array, "B T G 3"], trajectory: Trajectory
+) -> int:
+    """Save those of a rollout's B elements that have a fault, so that `doojax replay` can run them again.
+
+    Args:
+        path: the .npz file to write.
+        task: the name of the task whose scene was simulated.
+        starts: the states that the rollout began with; only for the scene's own rope.
+        actions: m.
+        trajectory: what the rollout returned.
+
+    Returns:
+        how many were saved; no file is written for none.
+
+    Raises:
+        ValueError: if rope parameters differ by element: they are not kept.
+    """
+    if starts.model_fields:
+        raise ValueError("starts have model_fields: only elements with the scene's own rope can be saved")
+    failed = np.flatnonzero(np.any(np.asarray(trajectory.faults) != 0, axis=1))
+    if failed.size:
+        arrays = {name: np.asarray(getattr(starts, name))[failed] for name in _STATE_FIELDS}
+        arrays["actions"] = np.asarray(actions)[failed]
+        arrays["points"] = np.asarray(trajectory.states.points)[failed]
+        arrays["faults"] = np.asarray(trajectory.faults)[failed]
+        header = json.dumps({"task": task, "elements": failed.tolist()})
+        arrays["header"] = np.frombuffer(header.encode(), np.uint8)
+        with open(path, "wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+    return int(failed.size)
+
+
+def replay(path: Path, /, *, trajectory: int = 0, engine: str = "auto") -> None:
+    """Simulate a stored trajectory again and say where it departs from what was stored.
+
+    Args:
+        path: a data set, or a file of failures written by `doojax.datasets.replay.save_failures`.
+        trajectory: its number there.
+        engine: to replay on; `auto` is the one that made the data set.
+
+    Raises:
+        ValueError: for a number that does not exist, or a path that holds neither.
+    """
+    if path.is_dir():
+        task, made_with, state, actions, points, faults = _from_dataset(Dataset.open(path), trajectory)
+    else:
+        task, made_with, state, actions, points, faults = _from_failures(path, trajectory)
+    engine = resolve_engine(made_with if engine == "auto" else engine)
+    simulator = make_task(task).simulator(engine)
+    batch = jax.tree.map(lambda leaf: leaf[None], (state, actions))
+    _, again = simulator.rollout(*batch)
+    _show(Console(), np.asarray(again.states.points[0]), points, np.asarray(again.faults[0]), faults, again)
+
+
+def _from_dataset(dataset: Dataset, number: int):
+    if not 0 <= number < len(dataset):
+        raise ValueError(f"there is no trajectory {number}: {dataset.path} holds 0 to {len(dataset) - 1}")
+    state = SimState(
+        qpos=jnp.asarray(dataset["initial_qpos"][number]),
+        qvel=jnp.asarray(dataset["initial_qvel"][number]),
+        obstacle_position=jnp.asarray(dataset["body_position"][number]),
+        obstacle_quaternion=jnp.asarray(dataset["body_quaternion"][number]),
+        holding=jnp.ones(dataset["grippers"][number].shape[1], dtype=bool),
+        faults=jnp.array(0, dtype=jnp.int32),
+        model_fields={},
+    )
+    config, actions = dataset.config, jnp.asarray(dataset["actions"][number])
+    return (
+        config["task"],
+        config["engine"],
+        state,
+        actions,
+        dataset["points"][number],
+        dataset["faults"][number],
+    )
+
+
+def _from_failures(path: Path, number: int):
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            stored = {name: file[name] for name in file.files}
+        header = json.loads(stored["header"].tobytes())
+    except (OSError, ValueError, KeyError) as error:
+        raise ValueError(f"{path} is neither a data set nor a file of saved failures") from error
+    if not 0 <= number < len(header["elements"]):
+        raise ValueError(f"there is no failure {number}: {path} holds 0 to {len(header['elements']) - 1}")
+    state = SimState(
+        **{name: jnp.asarray(stored[name][number]) for name in _STATE_FIELDS},
+        faults=jnp.array(0, dtype=jnp.int32),
+        model_fields={},
+    )
+    actions = jnp.asarray(stored["actions"][number])
+    return header["task"], "auto", state, actions, stored["points"][number], stored["faults"][number]
+
+
+def _show(console: Console, points, stored_points, faults, stored_faults, again: Trajectory) -> None:
+    gap = np.linalg.norm(points - stored_points, axis=-1).max(-1)
+    table = Table(
+        "period", "gap to the stored states (m)", "clearance (m)", "stretch", "faults", "stored faults"
+    )
+    for period in range(len(faults)):
+        table.add_row(
+            str(period),
+            f"{gap[period + 1]:.3g}",
+            f"{float(again.clearance[0, period + 1]):.4f}",
+            f"{float(again.stretch[0, period + 1]):.2%}",
+            _names(faults[period]),
+            _names(stored_faults[period]),
+        )
+    console.print(table)
+    same = np.array_equal(points, stored_points, equal_nan=True)
+    if same and np.array_equal(faults, stored_faults):
+        console.print("the replay equals what was stored, bit for bit")
+    else:
+        console.print(f"largest gap {np.nanmax(gap):.3g} m")
+
+
+def _names(faults: int) -> str:
+    return Fault(int(faults)).name or "-"
