@@ -91,7 +91,7 @@ def linking_number(first: ArrayLike, second: ArrayLike) -> int:
         ValueError: a curve is not a loop (see `check_loop`), or the two touch.
     """
     loops = check_loop(first, "the first loop"), check_loop(second, "the second loop")
-    result = linking_of(*map(jnp.asarray, loops))
+    result = jax.jit(linking_of)(*map(jnp.asarray, loops))
     if result.touching:
         raise ValueError(
             f"the loops touch: their least distance is {float(result.margin):.3g}, below {TOUCHING:g} of "
