@@ -25,6 +25,7 @@ BENCHMARKS: Commands = {}
 COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
+    "render": ("doojax.viewer.render:render", "draw a data set as a picture or a film"),
     "replay": ("doojax.datasets.replay:replay", "simulate a stored trajectory again"),
     "report": ("doojax.experiments.tables:report", "write the tables of README and docs from results/"),
 }

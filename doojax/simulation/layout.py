@@ -1,11 +1,10 @@
 """Where rope and grippers sit in a model's arrays, what is read off them, and how grippers are commanded."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -13,6 +12,9 @@ from doojax.geometry.sdf import signed_distance
 from doojax.simulation.rope import link_name
 from doojax.simulation.scenes import Scene
 from doojax.types import Obstacles, RopeState
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +28,7 @@ class Layout:
     hold_sites: np.ndarray  # [G] on the rope
 
     @classmethod
-    def of(cls, scene: Scene, model: mujoco.MjModel) -> "Layout":
+    def of(cls, scene: Scene, model: "mujoco.MjModel") -> "Layout":
         """Look the names up once."""
         axes = "xy" if scene.planar else "xyz"
         count = range(len(scene.grippers))

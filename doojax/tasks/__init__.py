@@ -6,8 +6,13 @@ from doojax.tasks.base import Phase as Phase
 from doojax.tasks.base import Task as Task
 from doojax.tasks.dual_gripper import DualGripper as DualGripper
 from doojax.tasks.rope_dragging import RopeDragging as RopeDragging
+from doojax.tasks.toy import Toy as Toy
 
-TASKS: dict[str, Callable[[], Task]] = {"rope_dragging": RopeDragging, "dual_gripper": DualGripper}
+TASKS: dict[str, Callable[[], Task]] = {
+    "rope_dragging": RopeDragging,
+    "dual_gripper": DualGripper,
+    "toy": Toy,
+}
 
 
 def make_task(name: str) -> Task:

@@ -1,0 +1,178 @@
+"""A rope without physics: each point follows the next like a towed trailer. For tests of learners and planners."""
+
+from dataclasses import dataclass, field
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from doojax.geometry.sdf import signed_distance
+from doojax.simulation.layout import Observation, clearance, stretch
+from doojax.simulation.rope import RopeModel, RopeParameters
+from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, obstacles_at, parked_poses
+from doojax.simulation.state import SimState
+from doojax.tasks.base import Box, Phase, check_phase, first_valid
+from doojax.types import Obstacles, RopeState, ShapeKind, Trajectory
+
+LINKS, PITCH, RADIUS, HEIGHT = 5, 0.05, 0.01, 0.05
+MAX_ACTION, REPEAT_PROBABILITY = 0.1, 0.8
+REACH = Box((-0.5, -0.5, HEIGHT), (0.5, 0.5, HEIGHT))
+WALL = (0.15, -0.1, HEIGHT)  # centre of the one obstacle, m
+
+
+def default_scene() -> Scene:
+    """Five points behind one gripper, and a wall in the middle of the floor."""
+    wall = Shape(ShapeKind.BOX, (0.02, 0.3, 0.1))
+    return Scene(
+        name="toy",
+        rope_model=RopeModel("point_masses", LINKS),
+        rope=RopeParameters(length=LINKS * PITCH, radius=RADIUS, mass=0.1, bending_stiffness=0.0),
+        grippers=(Gripper(link=LINKS - 1, end=0, radius=RADIUS, max_force=1.0, max_speed=0.1),),
+        obstacles=(Obstacle("wall", (wall,)),),
+    )
+
+
+class ToySimulator(eqx.Module):
+    """Analytic dynamics: the gripper stops where it would touch, and the rope follows, through walls too.
+
+    So the model "the gripper gets where it is sent" holds in free space and fails at the wall.
+    """
+
+    scene: Scene = eqx.field(static=True)
+    phase: Phase = eqx.field(static=True)
+
+    def reset(self, key: Array) -> SimState:
+        """A straight rope anywhere in reach, clear of the wall, pointing anywhere."""
+        place_key, angle_key = jax.random.split(key)
+        angle = jax.random.uniform(angle_key, maxval=2 * jnp.pi)
+        direction = jnp.stack([jnp.cos(angle), jnp.sin(angle), 0.0])
+        position, quaternion = parked_poses(1)
+        if self.phase == "constrained":
+            position, quaternion = jnp.array([WALL]), jnp.array([[1.0, 0.0, 0.0, 0.0]])
+        obstacles = obstacles_at(self.scene, position, quaternion)
+
+        def valid(gripper):
+            return signed_distance(obstacles, gripper) > 2 * RADIUS
+
+        gripper = first_valid(place_key, REACH.sample, valid, fallback=jnp.array([-0.3, 0.0, HEIGHT]))
+        points = gripper - PITCH * jnp.arange(LINKS - 1, -1, -1.0)[:, None] * direction
+        return SimState(
+            qpos=jnp.concatenate([points, gripper[None]]).reshape(-1),
+            qvel=jnp.zeros(self.scene.nv),
+            obstacle_position=position,
+            obstacle_quaternion=quaternion,
+            holding=jnp.ones(1, dtype=bool),
+            faults=jnp.array(0, dtype=jnp.int32),
+            model_fields={},
+        )
+
+    def step(self, state: SimState, action: Float[Array, "1 3"]) -> SimState:
+        """Move the gripper by ``action`` (m) or until it touches the wall; then pull the points along."""
+        rope, obstacles = self.observe(state), self.obstacles(state)
+        fractions = jnp.linspace(0.0, 1.0, 21)
+        path = rope.grippers[0] + fractions[:, None] * action[0] * jnp.array([1.0, 1.0, 0.0])
+        free = signed_distance(obstacles, path) > RADIUS
+        reached = jnp.where(free.all(), 20, jnp.maximum(jnp.argmin(free) - 1, 0))
+        gripper = path[reached]
+
+        def pull(leader, point):
+            gap = point - leader
+            distance = jnp.maximum(jnp.linalg.norm(gap), 1e-9)
+            follower = leader + gap * jnp.minimum(1.0, PITCH / distance)
+            return follower, follower
+
+        _, behind = jax.lax.scan(pull, gripper, rope.points[:-1], reverse=True)
+        points = jnp.concatenate([behind, gripper[None]])
+        qpos = jnp.concatenate([points, gripper[None]]).reshape(-1)
+        return eqx.tree_at(lambda s: s.qpos, state, qpos)
+
+    def observe(self, state: SimState) -> RopeState:
+        """Points and gripper, world frame, metres."""
+        positions = state.qpos.reshape(-1, 3)
+        return RopeState(points=positions[:LINKS], grippers=positions[LINKS:])
+
+    def observations(self, states: SimState) -> Observation:
+        """A batch of what `observe` gives."""
+        return jax.vmap(self._observation)(states)
+
+    def obstacles(self, state: SimState) -> Obstacles:
+        """The wall where it is."""
+        return obstacles_at(self.scene, state.obstacle_position, state.obstacle_quaternion)
+
+    @eqx.filter_jit
+    def rollout(self, states: SimState, actions: Float[Array, "B T 1 3"]) -> tuple[SimState, Trajectory]:
+        """T steps of B elements. Returns the last states and all that was seen."""
+        return jax.vmap(self._rollout_one)(states, actions)
+
+    def _rollout_one(self, state: SimState, actions: Float[Array, "T 1 3"]) -> tuple[SimState, Trajectory]:
+        def period(state, action):
+            after = self.step(state, action)
+            return after, after
+
+        last, history = jax.lax.scan(period, state, actions)
+        history = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, history)
+        seen, obstacles = self.observations(history), self.obstacles(state)
+        return last, Trajectory(
+            states=seen.rope,
+            actions=actions,
+            faults=history.faults[1:],
+            clearance=jax.vmap(lambda o: clearance(self.scene, obstacles, o))(seen),
+            stretch=jax.vmap(lambda o: stretch(self.scene, state.holding, o))(seen),
+        )
+
+    def _observation(self, state: SimState) -> Observation:
+        rope = self.observe(state)
+        return Observation(rope, jnp.zeros_like(rope.points), rope.points[-1:], jnp.array(RADIUS))
+
+
+@dataclass(frozen=True)
+class Toy:
+    """One gripper in a plane; the tail (point 0) is to come within 5 cm of a point."""
+
+    name: str = "toy"
+    grippers: int = 1
+    goal_threshold: float = 0.05
+    scene: Scene = field(default_factory=default_scene)
+
+    @property
+    def trajectory_states(self) -> dict[str, int]:
+        """States of a trajectory, by phase."""
+        return {"unconstrained": 10, "constrained": 20}
+
+    def simulator(self, engine: str = "auto", phase: Phase = "constrained") -> ToySimulator:
+        """The analytic dynamics, whatever the engine."""
+        check_phase(phase)
+        return ToySimulator(scene=self.scene, phase=phase)
+
+    def sample_action(
+        self, key: Array, state: RopeState, previous: Float[Array, "1 3"], phase: Phase = "constrained"
+    ) -> Float[Array, "1 3"]:
+        """A displacement of at most 0.1 m in the plane, the same as before with probability 0.8."""
+        repeat_key, draw_key = jax.random.split(key)
+        repeat = (jax.random.uniform(repeat_key) < REPEAT_PROBABILITY) & (previous != 0).any()
+
+        def draw(key):
+            angle_key, length_key = jax.random.split(key)
+            angle = jax.random.uniform(angle_key, minval=-jnp.pi, maxval=jnp.pi)
+            length = jax.random.uniform(length_key, maxval=MAX_ACTION)
+            return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
+
+        def valid(action):
+            planar = (state.grippers + action).at[:, 2].set(HEIGHT)
+            return REACH.contains(planar).all()
+
+        fresh = first_valid(draw_key, draw, valid, fallback=REACH.clip(state.grippers) - state.grippers)
+        return jnp.where(repeat & valid(previous), previous, fresh)
+
+    def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
+        """A point in reach, at least the threshold from the wall."""
+
+        def clear(goal):
+            return signed_distance(obstacles, goal) > self.goal_threshold
+
+        return first_valid(key, REACH.sample, clear, fallback=jnp.array([-0.3, 0.0, HEIGHT]))
+
+    def goal_distance(self, state: RopeState, goal: Float[Array, "3"]) -> Float[Array, ""]:
+        """Metres between the tail and ``goal``."""
+        return jnp.linalg.norm(state.points[0] - goal)
