@@ -143,7 +143,7 @@ def signature(grasps: Grasps, skeleton: Skeleton, *, remove_empty: bool = True) 
     parts = _parts(grasps)
     obstacles = jnp.where(skeleton.active[:, None, None], skeleton.loops, grasps.base)
     pieces = [parts.gripper_tethers, parts.attachment_tethers, parts.rope]  # each [curves, points, 3]
-    points = jnp.concatenate([_rows(piece) for piece in [*pieces, obstacles]], axis=1)
+    points = jnp.concatenate([piece.reshape(-1, 3) for piece in [*pieces, obstacles]]).T
     grid = Grid.over(points)
     # All pieces one after another: a single long curve, some of whose segments are not to be counted.
     curve, loops = jnp.split(grid.snap(points), [sum(piece[..., 0].size for piece in pieces)], axis=1)
@@ -158,8 +158,8 @@ def signature(grasps: Grasps, skeleton: Skeleton, *, remove_empty: bool = True) 
             start, end = end, end + piece[..., 0].size
             per_curve = per_point[:, start:end].reshape(len(per_segment), *piece.shape[:2])
             reduced.append(reduce(per_curve[:, :, :-1], axis=2))
-        tethers = jnp.concatenate(reduced[:2], axis=1)
-        return tethers[:, parts.first], reduced[2], tethers[:, parts.second]
+        tethers = jnp.concatenate(reduced[:2], axis=1)[:, parts.order]
+        return tethers[:, :-1], reduced[2], tethers[:, 1:]
 
     up, along, down = per_loop(numbers, jnp.sum)
     linked = jnp.abs(up + along - down).T
@@ -185,18 +185,18 @@ def loops_of(grasps: Grasps) -> GraspLoops:
             for tether in (parts.gripper_tethers, parts.attachment_tethers)
         ]
     )
-    points = jnp.concatenate([tethers[parts.first], parts.rope, tethers[parts.second][:, ::-1]], axis=1)
-    return GraspLoops(points, jnp.stack([parts.first, parts.second], axis=1), parts.is_loop)
+    tethers = tethers[parts.order]
+    points = jnp.concatenate([tethers[:-1], parts.rope, tethers[1:, ::-1]], axis=1)
+    return GraspLoops(points, jnp.stack([parts.order[:-1], parts.order[1:]], axis=1), parts.is_loop)
 
 
 class _Parts(eqx.Module):
-    """What loops are made of: loop i goes up tether first[i], along rope i and down tether second[i]."""
+    """What loops are made of: loop i goes up tether order[i], along rope i, and down tether order[i + 1]."""
 
     gripper_tethers: Float[Array, "G P+2 3"]  # from the base to the rope
     attachment_tethers: Float[Array, "A Q+2 3"]
     rope: Float[Array, "L N 3"]
-    first: Int[Array, "L"]
-    second: Int[Array, "L"]
+    order: Int[Array, "L+1"]  # of the holders along the rope; those that are not active come last
     is_loop: Bool[Array, "L"]
     of_grippers: Bool[Array, "L"]  # both holders are
 
@@ -211,13 +211,12 @@ def _parts(grasps: Grasps) -> _Parts:
     held = jax.vmap(_rope_point, (None, 0))(grasps.rope, location)
 
     order = jnp.argsort(jnp.where(active, location, jnp.inf))
-    first, second = order[:-1], order[1:]
-    one_grips = (first < grippers) | (second < grippers)
+    ends, held_ends, active_ends, gripper_ends = location[order], held[order], active[order], order < grippers
 
-    # Points of the rope beyond the loop's part of it become that part's ends: repeated points do no harm.
+    # Points of the rope beyond a loop's part of it become that part's ends: repeated points do no harm.
     knots = _knots(grasps.rope)
-    rope = jnp.where((knots > location[first][:, None])[..., None], grasps.rope, held[first][:, None])
-    rope = jnp.where((knots < location[second][:, None])[..., None], rope, held[second][:, None])
+    rope = jnp.where((knots > ends[:-1, None])[..., None], grasps.rope, held_ends[:-1, None])
+    rope = jnp.where((knots < ends[1:, None])[..., None], rope, held_ends[1:, None])
 
     def tether(path, is_active, end):
         return jnp.concatenate([grasps.base[None], jnp.where(is_active, path, grasps.base), end[None]])
@@ -226,15 +225,10 @@ def _parts(grasps: Grasps) -> _Parts:
         jax.vmap(tether)(grasps.gripper_paths, grasps.gripping, held[:grippers]),
         jax.vmap(tether)(grasps.attachment_paths, grasps.attached, held[grippers:]),
         rope,
-        first,
-        second,
-        active[first] & active[second] & one_grips,
-        (first < grippers) & (second < grippers),
+        order,
+        active_ends[:-1] & active_ends[1:] & (gripper_ends[:-1] | gripper_ends[1:]),
+        gripper_ends[:-1] & gripper_ends[1:],
     )
-
-
-def _rows(points: Float[Array, "C P 3"]) -> Float[Array, "3 C*P"]:
-    return jnp.moveaxis(points, -1, 0).reshape(3, -1)
 
 
 def _knots(rope: Float[Array, "N 3"]) -> Float[Array, "N"]:

@@ -3,13 +3,16 @@
 A loop is an array ``[P, 3]`` whose last point repeats its first. To pad a loop, repeat its last point again:
 segments without length change neither linking numbers nor distances.
 
-How the number is found. Both curves are snapped to a cubic grid, 2**23 cells along the longest side of their
-bounding box: about the resolution of float32. Seen along z, two segments cross or do not; that is decided by
-the signs of 2 x 2 determinants of whole numbers, computed without rounding error (`_is_left`), and a
-determinant of zero is decided as if the second curve were moved aside by an infinitely small amount. The
-linking number is the sum of the signs of those crossings at which the first curve passes above the second.
-No integral is approximated and nothing is rounded to an integer. Which curve is above is compared in float32
-at a place known to a few cells, so the number is proven when the curves stay 84 cells apart (`TOUCHING`);
+How the number is found. A plane x = const sweeps over both curves. In it, each point of the first curve has a
+difference (y, z) from each point of the second; while the plane moves, the differences draw closed polygons,
+which meet the origin only where the curves meet. The linking number is how often the polygons turn around the
+origin, and that is counted, in whole numbers, where they cross the half-axis y = 0, z > 0.
+
+Why it is exact. No integral is approximated and nothing is rounded to an integer in the end. The curves are
+snapped to a cubic grid, 2**20 cells along the longest side of their bounding box. Where the plane cuts a
+segment, y is rounded to a whole cell, in the same way for all pairs of segments that share the place
+(`_crossing`). So the polygons stay closed, and their sides match, whatever the rounding; it only moves them,
+by less than five cells. The number is proven when the curves stay ten cells apart, which is `TOUCHING`;
 closer ones are reported.
 """
 
@@ -26,8 +29,7 @@ from numpy.typing import ArrayLike
 TOUCHING = 1e-5
 """Curves closer than this fraction of the longest side of their bounding box are reported as touching."""
 
-_CELLS = 2.0**23  # coordinates and their differences are then exact in float32
-_SURE = 2.0**28  # a float32 determinant of larger magnitude has the right sign, a smaller one fits int32
+_CELLS = 2.0**20
 _LANES = 16  # XLA's loops on a CPU handle what is left over from a multiple of this one by one
 
 
@@ -35,7 +37,7 @@ class Linking(eqx.Module):
     """How two loops are linked, and how sure that is."""
 
     number: Int[Array, "*b"]  # signed linking number; reversing one of the loops flips its sign
-    margin: Float[Array, "*b"]  # least distance between the curves, metres, to 3e-7 of their bounding box
+    margin: Float[Array, "*b"]  # least distance between the curves, metres, to 2e-6 of their bounding box
     touching: Bool[Array, "*b"]  # the margin is not above `TOUCHING` of the bounding box: the number is void
 
 
@@ -154,15 +156,19 @@ def is_closed(loop: Float[Array, "P 3"]) -> Bool[Array, ""]:
 def crossings(
     curve: Float[Array, "3 P"], loop: Float[Array, "3 Q"]
 ) -> tuple[Int[Array, "P-1"], Int[Array, "P-1"]]:
-    """How often each segment of a polyline passes above a loop, and how near it comes; in a `Grid`'s cells.
+    """What each segment of a polyline adds to its linking number with a loop, and how near it comes.
 
-    Over the segments of a closed curve the numbers sum to its linking number with the loop. A piece that
-    several curves share needs to be looked at only once.
+    Over the segments of a closed curve the numbers sum to the linking number. A piece that several curves
+    share needs to be looked at only once.
+
+    Args:
+        curve: in cells of a `Grid`; where pieces of it meet, their points must be equal.
+        loop: in cells of the same grid.
 
     Returns:
-        per segment, the sum of the signs of the crossings at which it is above the loop; and its least
-        squared distance from the loop as the bits of a float32. Bits order non-negative floats, and XLA
-        vectorises the minimum of integers but not that of floats, which must pass on NaN.
+        per segment, its number, and its least squared distance from the loop as the bits of a float32. Bits
+        order non-negative floats, and XLA vectorises the minimum of integers but not that of floats, which
+        must pass on NaN.
     """
     segments = curve.shape[1] - 1
     curve = jnp.pad(curve, ((0, 0), (0, -segments % _LANES)), mode="edge")
@@ -172,7 +178,7 @@ def crossings(
         b, v = map(tuple, segment)
         w = tuple(q - p for p, q in zip(a, b, strict=True))
         bits = jax.lax.bitcast_convert_type(_squared_distance(u, v, w), jnp.int32)
-        return (total[0] + _crossing(u, v, w), jnp.minimum(total[1], bits)), None
+        return (total[0] + _crossing(a, u, b, v), jnp.minimum(total[1], bits)), None
 
     zero = jnp.zeros(curve.shape[1] - 1, jnp.int32)
     loop_segments = (loop[:, :-1].T, (loop[:, 1:] - loop[:, :-1]).T)
@@ -180,36 +186,42 @@ def crossings(
     return numbers[:segments], bits[:segments]
 
 
-def _crossing(u, v, w):
-    """Sign of the crossing if a + s u passes above b + t v, else 0; w = b - a, all in whole cells."""
-    uw, uv, wv = _determinant(u, w), _determinant(u, v), _determinant(w, v)
-    # The second curve is moved by (e, e^2) for some infinitely small e > 0; this changes u x w by u x (e,
-    # e^2).
-    tie_u = (u[1] < 0) | ((u[1] == 0) & (u[0] > 0))
-    tie_v = (v[1] > 0) | ((v[1] == 0) & (v[0] < 0))
-    from_left, to_left = _is_left(uw, tie_u), _is_left((uw[0] + uv[0], uw[1] + uv[1]), tie_u)
-    start_left, end_left = _is_left(wv, tie_v), _is_left((wv[0] - uv[0], wv[1] - uv[1]), tie_v)
-    crosses = (from_left ^ to_left) & (start_left ^ end_left)
+def _crossing(a, u, b, v):
+    """+1 or -1 if the differences of a + s u and b + t v cross the upper half-axis, else 0.
 
-    # The crossing's place. Where the segments are almost parallel, rounding moves s along both of them; t,
-    # and then s again, follow to the place of the other segment beside it, so that both mean the same place.
-    s = _held(wv[0] / jnp.where(uv[0] == 0, 1, uv[0]))
-    t = _held(((s * u[0] - w[0]) * v[0] + (s * u[1] - w[1]) * v[1]) * _inverse(v[:2]))
-    s = _held(((t * v[0] + w[0]) * u[0] + (t * v[1] + w[1]) * u[1]) * _inverse(u[:2]))
-    above = s * u[2] > t * v[2] + w[2]
-    return jnp.where(crosses & above, jnp.where(to_left, 1, -1), 0)
+    From the plane that first meets both segments to the one that last does, their difference moves straight.
+    Either end of this way belongs to a vertex of one curve and a segment of the other, and is an end of the
+    next pair's way, too. Both pairs must see it on the same side of the half-axis, so they must compute the
+    same y. They do: coordinates are whole, and exact in float32; s * u[1] is made by multiplications alone,
+    which a compiler cannot fuse in one place and not in the other; and rounding makes it u[1] where the
+    segment ends, since s is 1 there to within 3 / 2**23.
+    """
+    (low_a, high_a, inverse_a, upright_a, way_a), (low_b, high_b, inverse_b, upright_b, way_b) = (
+        _along_x(start, step) for start, step in ((a, u), (b, v))
+    )
+    # Vertices of both curves in one plane: the second is moved along x by an infinitely small amount.
+    meets = (low_a <= high_b) & (low_b < high_a)
+
+    def difference(x, is_end):
+        s = (x - a[0]) * inverse_a + is_end * upright_a
+        t = (x - b[0]) * inverse_b + is_end * upright_b
+        y = (a[1] - b[1]) + (jnp.round(s * u[1]) - jnp.round(t * v[1]))
+        return y, (a[2] - b[2]) + (s * u[2] - t * v[2])
+
+    start_y, start_z = difference(jnp.maximum(low_a, low_b), 0)
+    end_y, end_z = difference(jnp.minimum(high_a, high_b), 1)
+    starts_left, ends_left = start_y < 0, end_y < 0
+    above = (start_z * end_y > end_z * start_y) == starts_left
+    crosses = meets & (starts_left ^ ends_left) & above
+    return jnp.where(crosses, jnp.where(starts_left, -1, 1) * way_a * way_b, 0)
 
 
-def _determinant(p, q):
-    """p x q seen along z: as float32, in error by at most 2**24, and as int32, exact modulo 2**32."""
-    i, j = ([c.astype(jnp.int32) for c in r[:2]] for r in (p, q))
-    return p[0] * q[1] - p[1] * q[0], i[0] * j[1] - i[1] * j[0]
-
-
-def _is_left(determinant, tie):
-    """Is this determinant, or sum of two, positive? Exact; `tie` is the answer where it is zero."""
-    rounded, wrapped = determinant
-    return jnp.where(jnp.abs(rounded) > _SURE, rounded > 0, wrapped + tie > 0)
+def _along_x(start, step):
+    """A segment's range along x, 1 / extent, whether it has none (0 or 1), and the sign of the extent."""
+    end, upright = start[0] + step[0], step[0] == 0
+    inverse = jnp.where(upright, 0, 1 / jnp.where(upright, 1, step[0]))
+    way = jnp.where(step[0] < 0, -1, 1)
+    return jnp.minimum(start[0], end), jnp.maximum(start[0], end), inverse, upright.astype(inverse.dtype), way
 
 
 def _squared_distance(u, v, w):

@@ -54,7 +54,9 @@ class Signature(eqx.Module):
         rows = np.asarray(self.rows)
         if rows.ndim != 2:
             raise ValueError(f"this is a batch of signatures, of shape {rows.shape[:-2]}; choose one of them")
-        return tuple(tuple(row) for row in rows[: int(self.count)].tolist())
+        if not rows.shape[1]:
+            return ((),) * int(self.count)
+        return tuple(tuple(row) for row in rows.tolist() if row[0] >= 0)
 
     def __eq__(self, other: object) -> bool:
         """Are these the same multisets? Margins do not matter."""
