@@ -27,6 +27,9 @@ from doojax.topology.grasp_loops import Grasps, Holder, loops_of, make_grasps
 from doojax.topology.linking import linking_of
 from doojax.topology.skeletons import Skeleton, make_skeleton
 
+THREADING = Path(__file__).with_name("threading.json")
+"""An example: a cable through three fixtures, plugged in at one end and held by two grippers."""
+
 _FIELDS = {"skeleton", "rope", "base", "grippers", "attachments"}
 
 

@@ -170,77 +170,95 @@ def crossings(
         order non-negative floats, and XLA vectorises the minimum of integers but not that of floats, which
         must pass on NaN.
     """
-    segments = curve.shape[1] - 1
-    curve = jnp.pad(curve, ((0, 0), (0, -segments % _LANES)), mode="edge")
-    a, u = tuple(curve[:, :-1]), tuple(curve[:, 1:] - curve[:, :-1])
+    count = curve.shape[1] - 1
+    curve = jnp.pad(curve, ((0, 0), (0, -count % _LANES)), mode="edge")
+    own = _Segments.of(curve[:, :-1], curve[:, 1:] - curve[:, :-1])
 
-    def add(total, segment):
-        b, v = map(tuple, segment)
-        w = tuple(q - p for p, q in zip(a, b, strict=True))
-        bits = jax.lax.bitcast_convert_type(_squared_distance(u, v, w), jnp.int32)
-        return (total[0] + _crossing(a, u, b, v), jnp.minimum(total[1], bits)), None
+    def add(total, start_and_step):
+        other = _Segments.of(*start_and_step)
+        bits = jax.lax.bitcast_convert_type(_squared_distance(own, other), jnp.int32)
+        return (total[0] + _crossing(own, other), jnp.minimum(total[1], bits)), None
 
     zero = jnp.zeros(curve.shape[1] - 1, jnp.int32)
-    loop_segments = (loop[:, :-1].T, (loop[:, 1:] - loop[:, :-1]).T)
+    loop_segments = loop[:, :-1].T, (loop[:, 1:] - loop[:, :-1]).T
     (numbers, bits), _ = jax.lax.scan(add, (zero, zero + jnp.iinfo(jnp.int32).max), loop_segments)
-    return numbers[:segments], bits[:segments]
+    return numbers[:count], bits[:count]
 
 
-def _crossing(a, u, b, v):
-    """+1 or -1 if the differences of a + s u and b + t v cross the upper half-axis, else 0.
+class _Segments(eqx.Module):
+    """One segment or several. Vectors are tuples: axes of length three would spoil vectorisation."""
+
+    start: tuple[Array, Array, Array]
+    step: tuple[Array, Array, Array]
+    inverse_square: Array  # of the length
+    low: Array  # range along x
+    high: Array
+    inverse_x: Array  # 1 / extent along x, 0 for those without
+    upright: Array  # 1 for those without extent along x, else 0
+    way: Array  # sign of the extent along x
+
+    @staticmethod
+    def of(start: Float[Array, "3 *p"], step: Float[Array, "3 *p"]) -> "_Segments":
+        (x, y, z), (dx, dy, dz) = start, step
+        end, upright = x + dx, dx == 0
+        return _Segments(
+            start=(x, y, z),
+            step=(dx, dy, dz),
+            inverse_square=_inverse_square((dx, dy, dz)),
+            low=jnp.minimum(x, end),
+            high=jnp.maximum(x, end),
+            inverse_x=jnp.where(upright, 0, 1 / jnp.where(upright, 1, dx)),
+            upright=upright.astype(x.dtype),
+            way=jnp.where(dx < 0, -1, 1),
+        )
+
+
+def _crossing(a: _Segments, b: _Segments) -> Array:
+    """+1 or -1 if the differences of points of two segments cross the upper half-axis, else 0.
 
     From the plane that first meets both segments to the one that last does, their difference moves straight.
     Either end of this way belongs to a vertex of one curve and a segment of the other, and is an end of the
     next pair's way, too. Both pairs must see it on the same side of the half-axis, so they must compute the
-    same y. They do: coordinates are whole, and exact in float32; s * u[1] is made by multiplications alone,
-    which a compiler cannot fuse in one place and not in the other; and rounding makes it u[1] where the
-    segment ends, since s is 1 there to within 3 / 2**23.
+    same y. They do: coordinates are whole, and exact in float32; s * step is made by multiplications alone,
+    which a compiler cannot fuse in one place and not in the other; and rounding makes it the step itself
+    where the segment ends, since s is 1 there to within 3 / 2**23.
     """
-    (low_a, high_a, inverse_a, upright_a, way_a), (low_b, high_b, inverse_b, upright_b, way_b) = (
-        _along_x(start, step) for start, step in ((a, u), (b, v))
-    )
     # Vertices of both curves in one plane: the second is moved along x by an infinitely small amount.
-    meets = (low_a <= high_b) & (low_b < high_a)
+    meets = (a.low <= b.high) & (b.low < a.high)
 
     def difference(x, is_end):
-        s = (x - a[0]) * inverse_a + is_end * upright_a
-        t = (x - b[0]) * inverse_b + is_end * upright_b
-        y = (a[1] - b[1]) + (jnp.round(s * u[1]) - jnp.round(t * v[1]))
-        return y, (a[2] - b[2]) + (s * u[2] - t * v[2])
+        s = (x - a.start[0]) * a.inverse_x + is_end * a.upright
+        t = (x - b.start[0]) * b.inverse_x + is_end * b.upright
+        y = (a.start[1] - b.start[1]) + (jnp.round(s * a.step[1]) - jnp.round(t * b.step[1]))
+        return y, (a.start[2] - b.start[2]) + (s * a.step[2] - t * b.step[2])
 
-    start_y, start_z = difference(jnp.maximum(low_a, low_b), 0)
-    end_y, end_z = difference(jnp.minimum(high_a, high_b), 1)
+    start_y, start_z = difference(jnp.maximum(a.low, b.low), 0)
+    end_y, end_z = difference(jnp.minimum(a.high, b.high), 1)
     starts_left, ends_left = start_y < 0, end_y < 0
     above = (start_z * end_y > end_z * start_y) == starts_left
     crosses = meets & (starts_left ^ ends_left) & above
-    return jnp.where(crosses, jnp.where(starts_left, -1, 1) * way_a * way_b, 0)
+    return jnp.where(crosses, jnp.where(starts_left, -1, 1) * a.way * b.way, 0)
 
 
-def _along_x(start, step):
-    """A segment's range along x, 1 / extent, whether it has none (0 or 1), and the sign of the extent."""
-    end, upright = start[0] + step[0], step[0] == 0
-    inverse = jnp.where(upright, 0, 1 / jnp.where(upright, 1, step[0]))
-    way = jnp.where(step[0] < 0, -1, 1)
-    return jnp.minimum(start[0], end), jnp.maximum(start[0], end), inverse, upright.astype(inverse.dtype), way
-
-
-def _squared_distance(u, v, w):
-    """Squared distance between the segments a + s u and b + t v, 0 <= s, t <= 1; w = b - a.
+def _squared_distance(a: _Segments, b: _Segments) -> Array:
+    """Squared distance between two segments.
 
     Ericson (2005), "Real-Time Collision Detection", section 5.1.9: the nearest point of the first line, held
     to its segment; then of the second segment; then of the first again. The first step divides by the squared
     normal, not by u.u v.v - (u.v)^2, which cancels where the segments are almost parallel.
     """
+    u, v = a.step, b.step
+    w = [q - p for p, q in zip(a.start, b.start, strict=True)]
     normal = _cross(u, v)
-    s = _held(_dot(_cross(w, v), normal) * _inverse(normal))
-    t = _held(_dot([s * p - r for p, r in zip(u, w, strict=True)], v) * _inverse(v))
+    s = _held(_dot(_cross(w, v), normal) * _inverse_square(normal))
+    t = _held(_dot([s * p - r for p, r in zip(u, w, strict=True)], v) * b.inverse_square)
     beside = [t * q + r for q, r in zip(v, w, strict=True)]
-    s = _held(_dot(beside, u) * _inverse(u))
+    s = _held(_dot(beside, u) * a.inverse_square)
     gap = [r - s * p for r, p in zip(beside, u, strict=True)]
     return _dot(gap, gap)
 
 
-def _inverse(v):
+def _inverse_square(v):
     """1 / |v|^2, and 1 for the zero vector: the components of v are whole numbers."""
     square = _dot(v, v)
     return 1 / jnp.where(square > 1, square, 1)
