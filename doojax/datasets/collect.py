@@ -21,7 +21,7 @@ from doojax.datasets.writer import DatasetWriter
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks import make_task
-from doojax.tasks.base import Phase, Task
+from doojax.tasks.base import Phase, Task, check_phase
 from doojax.types import Obstacles, RopeState, Trajectory
 
 SHARD_SIZE = 64
@@ -56,6 +56,7 @@ def collect(
         ValueError: for an unknown task or engine, counts too small, or a folder that holds other data.
     """
     the_task = make_task(task)
+    check_phase(phase)
     states = the_task.trajectory_states[phase] if states is None else states
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}, expected at least 1")

@@ -126,8 +126,8 @@ def _show(console: Console, points, stored_points, faults, stored_faults, again:
             f"{gap[period + 1]:.3g}",
             f"{float(again.clearance[0, period + 1]):.4f}",
             f"{float(again.stretch[0, period + 1]):.2%}",
-            _names(faults[period]),
-            _names(stored_faults[period]),
+            _names(int(faults[period])),
+            _names(int(stored_faults[period])),
         )
     console.print(table)
     same = np.array_equal(points, stored_points, equal_nan=True)
@@ -138,4 +138,4 @@ def _show(console: Console, points, stored_points, faults, stored_faults, again:
 
 
 def _names(faults: int) -> str:
-    return Fault(int(faults)).name or "-"
+    return Fault(faults).name or "-"

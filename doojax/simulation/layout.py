@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.rope import link_name
@@ -52,8 +52,14 @@ class Observation(eqx.Module):
     radius: Float[Array, "*b"]  # of the rope
 
 
-def read_observation(layout: Layout, geom_size: Any, xpos: Any, xmat: Any, site_xpos: Any) -> Observation:
-    """Read rope and grippers off MuJoCo's body and site poses; numpy or jax arrays."""
+def read_observation(
+    layout: Layout,
+    geom_size: Float[Array, "*b geoms 3"],
+    xpos: Float[Array, "*b bodies 3"],
+    xmat: Float[Array, "*b bodies 3 3"],
+    site_xpos: Float[Array, "*b sites 3"],
+) -> Observation:
+    """Read rope and grippers off MuJoCo's sizes, body and site poses; batch axes first."""
     half_length = geom_size[..., layout.link_geom, 1][..., None, None]  # zero for spheres
     return Observation(
         rope=RopeState(points=xpos[..., layout.links, :], grippers=xpos[..., layout.grippers, :]),
@@ -76,7 +82,7 @@ def clearance(scene: Scene, obstacles: Obstacles, seen: Observation) -> Float[Ar
     return jnp.minimum(rope, jnp.min(signed_distance(obstacles, seen.rope.grippers) - radii, initial=jnp.inf))
 
 
-def stretch(scene: Scene, holding: Float[Array, "G"], seen: Observation) -> Float[Array, ""]:
+def stretch(scene: Scene, holding: Bool[Array, "G"], seen: Observation) -> Float[Array, ""]:
     """By what fraction of its length the rope is too long, the gaps to the grippers that hold it included."""
     length = scene.rope.length
     gaps = jnp.where(holding, jnp.linalg.norm(seen.hold_points - seen.rope.grippers, axis=-1), 0.0).sum()

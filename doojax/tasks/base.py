@@ -5,7 +5,7 @@ A task knows no planner and no learner. Every sampler is a pure function of one 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Literal, Protocol, get_args, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ Phase = Literal["unconstrained", "constrained"]
 CANDIDATES = 32  # tried at once where a sample may be invalid
 
 
+@runtime_checkable
 class Task(Protocol):
     """A manipulation problem; `make_task` builds one by name."""
 

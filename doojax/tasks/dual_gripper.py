@@ -45,8 +45,12 @@ def default_scene() -> Scene:
     table = Obstacle("table", (_box((0.8, 1.5, 0.12)),), friction=0.6)
     boxes = [Obstacle(f"box{i}", (_box(size),), friction=1.0) for i, size in enumerate(BOXES)]
     hooks = [  # a post and, on top of it, a shelf or a bar; offsets from the post's centre
-        Obstacle("hook0", (_box((0.04, 0.14, 0.18)), _box((0.2, 0.14, 0.02), (-0.08, 0, 0.1))), friction=1.0),
-        Obstacle("hook1", (_box((0.04, 0.08, 0.28)), _box((0.18, 0.08, 0.02), (0, 0, 0.14))), friction=1.0),
+        Obstacle(
+            "hook0", (_box((0.04, 0.14, 0.18)), _box((0.2, 0.14, 0.02), (-0.08, 0.0, 0.1))), friction=1.0
+        ),
+        Obstacle(
+            "hook1", (_box((0.04, 0.08, 0.28)), _box((0.18, 0.08, 0.02), (0.0, 0.0, 0.14))), friction=1.0
+        ),
     ]
     return Scene(
         name="dual_gripper",
@@ -169,7 +173,7 @@ class DualGripper:
         return jnp.linalg.norm(state.points[MIDPOINT] - goal)
 
 
-def _box(size: tuple[float, float, float], offset: tuple[float, float, float] = (0, 0, 0)) -> Shape:
+def _box(size: tuple[float, float, float], offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:
     return Shape(ShapeKind.BOX, (size[0] / 2, size[1] / 2, size[2] / 2), offset)
 
 

@@ -1,4 +1,4 @@
-"""A rope without physics: each point follows the next like a towed trailer. For tests of learners and planners."""
+"""A rope without physics, each point towed by the next: for tests of learners and planners."""
 
 from dataclasses import dataclass, field
 
@@ -33,6 +33,12 @@ def default_scene() -> Scene:
     )
 
 
+def straight(gripper: Float[Array, "3"], angle: Float[Array, ""]) -> Float[Array, "N 3"]:
+    """A straight rope from its tail to the gripper, which lies in the direction ``angle`` (rad)."""
+    direction = jnp.stack([jnp.cos(angle), jnp.sin(angle), 0.0])
+    return gripper - PITCH * jnp.arange(LINKS - 1, -1, -1.0)[:, None] * direction
+
+
 class ToySimulator(eqx.Module):
     """Analytic dynamics: the gripper stops where it would touch, and the rope follows, through walls too.
 
@@ -44,19 +50,22 @@ class ToySimulator(eqx.Module):
 
     def reset(self, key: Array) -> SimState:
         """A straight rope anywhere in reach, clear of the wall, pointing anywhere."""
-        place_key, angle_key = jax.random.split(key)
-        angle = jax.random.uniform(angle_key, maxval=2 * jnp.pi)
-        direction = jnp.stack([jnp.cos(angle), jnp.sin(angle), 0.0])
         position, quaternion = parked_poses(1)
         if self.phase == "constrained":
             position, quaternion = jnp.array([WALL]), jnp.array([[1.0, 0.0, 0.0, 0.0]])
         obstacles = obstacles_at(self.scene, position, quaternion)
 
-        def valid(gripper):
-            return signed_distance(obstacles, gripper) > 2 * RADIUS
+        def draw(key):
+            place_key, angle_key = jax.random.split(key)
+            angle = jax.random.uniform(angle_key, maxval=2 * jnp.pi)
+            return straight(REACH.sample(place_key), angle)
 
-        gripper = first_valid(place_key, REACH.sample, valid, fallback=jnp.array([-0.3, 0.0, HEIGHT]))
-        points = gripper - PITCH * jnp.arange(LINKS - 1, -1, -1.0)[:, None] * direction
+        def valid(points):
+            return signed_distance(obstacles, points).min() > 2 * RADIUS
+
+        away = straight(jnp.array([-0.3, 0.0, HEIGHT]), jnp.array(0.0))
+        points = first_valid(key, draw, valid, fallback=away)
+        gripper = points[-1]
         return SimState(
             qpos=jnp.concatenate([points, gripper[None]]).reshape(-1),
             qvel=jnp.zeros(self.scene.nv),

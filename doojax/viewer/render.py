@@ -41,10 +41,10 @@ def render(path: Path, /, *, out: Path, trajectory: int | None = None) -> None:
         iio.imwrite(out, _draw(dataset, shown, time=None))
     else:
         frames = [_draw(dataset, shown, time) for time in range(dataset.fields["points"].shape[0])]
-        options = {"loop": 0, "duration": 1000 / FRAMES_PER_SECOND} if out.suffix == ".gif" else {}
-        if out.suffix == ".mp4":
-            options = {"fps": FRAMES_PER_SECOND, "macro_block_size": 2}
-        iio.imwrite(out, np.stack(frames), **options)
+        if out.suffix == ".gif":
+            iio.imwrite(out, np.stack(frames), loop=0, duration=1000 / FRAMES_PER_SECOND)
+        else:
+            iio.imwrite(out, np.stack(frames), fps=FRAMES_PER_SECOND, macro_block_size=2)
     Console(stderr=True).print(f"drew {len(shown)} of {len(dataset)} trajectories in {out}", highlight=False)
 
 
@@ -64,7 +64,8 @@ def _draw(dataset: Dataset, shown: list[int], time: int | None) -> np.ndarray:
     canvas = FigureCanvasAgg(figure)
     config, last = dataset.config, dataset.fields["points"].shape[0] - 1
     when = f"{last + 1} states each, pale to dark" if time is None else f"state {time} of {last}"
-    title = f"{config.get('task')}, {config.get('phase')}, {config.get('engine')}, seed {config.get('seed')}: {when}"
+    title = ", ".join(str(config.get(name)) for name in ("task", "phase", "engine"))
+    title = f"{title}, seed {config.get('seed')}: {when}"
     figure.suptitle(title, fontsize=10, y=1 - 0.12 / figure.get_figheight())
     low, high = _extent(dataset, shown)
     for panel, index in enumerate(shown):
@@ -102,7 +103,7 @@ def _draw_obstacles(axes, dataset: Dataset, index: int) -> None:
             turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
             axes.add_patch(Polygon(corners @ turn.T + centre[:2], **style))
         else:
-            axes.add_patch(Circle(centre[:2], half[0], **style))
+            axes.add_patch(Circle((centre[0], centre[1]), half[0], **style))
 
 
 def _draw_rope(axes, dataset: Dataset, index: int, time: int | None) -> None:

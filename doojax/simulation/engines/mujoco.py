@@ -67,11 +67,11 @@ class MujocoSimulator:
 
     def observations(self, states: SimState) -> Observation:
         """`observation` of a batch."""
-        host, seen = jax.tree.map(np.asarray, states), []
+        host, poses = jax.tree.map(np.asarray, states), []
         for index in range(states.qpos.shape[0]):
             model = self._load(0, jax.tree.map(lambda leaf, i=index: leaf[i], host))
-            seen.append(self._observe(model, np.asarray(host.qpos)[index : index + 1]))
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *seen)
+            poses.append(self._poses(model, np.asarray(host.qpos)[index : index + 1]))
+        return jax.tree.map(lambda leaf: leaf[:, 0], self._read(poses))
 
     def obstacles(self, state: SimState) -> Obstacles:
         """The primitives of the obstacles where they are."""
@@ -107,8 +107,9 @@ class MujocoSimulator:
                 steps, _ = self._pool.rollout(models, self._pool_data, history[:, period], targets)
             with np.errstate(over="ignore"):  # a state that blew up need not fit into single precision
                 history[:, period + 1] = steps[:, -1].astype(np.float32)  # as SimState holds it: see rollout
-        seen = [self._observe(model, own[:, 1 : 1 + nq]) for model, own in zip(models, history, strict=True)]
-        seen = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float32), *seen)
+        seen = self._read(
+            [self._poses(model, own[:, 1 : 1 + nq]) for model, own in zip(models, history, strict=True)]
+        )
         measured = self._measure(states.obstacle_position, states.obstacle_quaternion, states.holding, seen)
         physics = history[:, :, 1:].astype(np.float32)
         qpos, qvel = jnp.asarray(physics[..., :nq]), jnp.asarray(physics[..., nq:])
@@ -116,7 +117,7 @@ class MujocoSimulator:
         last = eqx.tree_at(
             lambda s: (s.qpos, s.qvel, s.faults), states, (qpos[:, -1], qvel[:, -1], faults[:, -1])
         )
-        return last, Trajectory(jax.tree.map(jnp.asarray, seen.rope), actions, faults, *measured)
+        return last, Trajectory(seen.rope, jnp.asarray(actions), faults, *measured)
 
     def _measure_one(self, position, quaternion, holding, seen):
         obstacles = obstacles_at(self.scene, position, quaternion)
@@ -139,16 +140,22 @@ class MujocoSimulator:
         model.eq_active0[model.neq - len(self.scene.grippers) :] = state.holding
         return model
 
-    def _observe(self, model: mujoco.MjModel, qpos: Float[np.ndarray, "K nq"]) -> Observation:
-        data, xpos, xmat, sites = self._data, [], [], []
+    def _poses(self, model: mujoco.MjModel, qpos: Float[np.ndarray, "K nq"]) -> list[np.ndarray]:
+        """Geometry sizes and the poses of bodies and sites, K times each."""
+        data, poses = self._data, []
         for own in qpos:
             data.qpos[:] = own
             mujoco.mj_kinematics(model, data)
-            xpos.append(data.xpos.copy())
-            xmat.append(data.xmat.reshape(-1, 3, 3).copy())
-            sites.append(data.site_xpos.copy())
-        sizes = np.broadcast_to(model.geom_size, (len(qpos), *model.geom_size.shape))
-        return read_observation(self.layout, sizes, np.stack(xpos), np.stack(xmat), np.stack(sites))
+            poses.append((model.geom_size, data.xpos.copy(), data.xmat.copy(), data.site_xpos.copy()))
+        return [np.stack(values) for values in zip(*poses, strict=True)]
+
+    def _read(self, poses: list[list[np.ndarray]]) -> Observation:
+        with np.errstate(over="ignore"):  # a state that blew up need not fit into single precision
+            sizes, xpos, xmat, sites = (
+                np.stack(values, dtype=np.float32, casting="same_kind") for values in zip(*poses, strict=True)
+            )
+        xmat = xmat.reshape(*xpos.shape, 3)
+        return read_observation(self.layout, *(jnp.asarray(v) for v in (sizes, xpos, xmat, sites)))
 
 
 @contextlib.contextmanager

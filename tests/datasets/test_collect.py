@@ -1,0 +1,119 @@
+"""Collecting: what is refused, what is replayed, and what a kill leaves behind."""
+
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from doojax.datasets import Dataset
+from doojax.datasets.collect import collect
+from doojax.datasets.replay import replay, save_failures
+from doojax.simulation.state import Fault
+from doojax.tasks import make_task
+from doojax.tasks.rope_dragging import RopeDragging
+from doojax.tasks.starts import RandomStart
+
+COMMAND = [sys.executable, "-m", "doojax.cli", "collect", "toy", "--trajectories", "640", "--states", "8"]
+
+
+def digest(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def test_killed_and_resumed_collections_have_the_bytes_of_an_uninterrupted_one(tmp_path):
+    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache")}
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    began = time.monotonic()
+    subprocess.run([*COMMAND, "--out", str(whole)], check=True, env=environment, capture_output=True)
+    lasts = time.monotonic() - began
+    moments = random.Random(0)
+    for _ in range(5):
+        process = subprocess.Popen(
+            [*COMMAND, "--out", str(broken)],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        time.sleep(moments.uniform(0.3, 0.8) * lasts)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    subprocess.run([*COMMAND, "--out", str(broken)], check=True, env=environment, capture_output=True)
+    assert digest(broken) == digest(whole)
+
+
+def test_a_stored_trajectory_replays_bit_for_bit(tmp_path, capsys):
+    collect("rope_dragging", trajectories=3, states=4, out=tmp_path / "data")
+    capsys.readouterr()
+    replay(tmp_path / "data", trajectory=2)
+    assert "the replay equals what was stored, bit for bit" in capsys.readouterr().out
+    with pytest.raises(ValueError, match=r"there is no trajectory 3: .* holds 0 to 2"):
+        replay(tmp_path / "data", trajectory=3)
+
+
+def test_a_longer_collection_begins_with_the_same_trajectories(tmp_path):
+    collect("toy", trajectories=5, states=3, out=tmp_path / "five")
+    collect("toy", trajectories=70, states=3, out=tmp_path / "seventy")
+    few, many = Dataset.open(tmp_path / "five"), Dataset.open(tmp_path / "seventy")
+    np.testing.assert_allclose(few["points"][:], many["points"][:5], atol=1e-6)
+
+
+def test_failures_are_saved_and_replayed(tmp_path, capsys):
+    task = make_task("rope_dragging")
+    simulator = task.simulator("mujoco", "unconstrained")
+    starts = jax.vmap(simulator.reset)(jax.random.split(jax.random.key(0), 3))
+    starts = eqx.tree_at(lambda s: s.qvel, starts, starts.qvel.at[1, 0].set(jnp.inf))
+    actions = jnp.full((3, 2, 1, 3), 0.01)
+    _, seen = simulator.rollout(starts, actions)
+    assert save_failures(tmp_path / "failed.npz", "rope_dragging", starts, actions, seen) == 1
+    replay(tmp_path / "failed.npz")
+    assert "NOT_FINITE" in capsys.readouterr().out
+
+
+def test_an_overfull_scene_says_so():
+    task = RopeDragging()
+    start = task.start("constrained")
+
+    def on_the_rope(key):
+        return jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0])
+
+    crowded = RandomStart(
+        start.bank,
+        scene=task.scene,
+        place_rope=lambda key, points: (-points.mean(0).at[2].set(0.0), jnp.array(0.0)),
+        placements=(on_the_rope, *start.placements[1:]),
+    )
+    state = crowded(jax.random.key(0))
+    assert int(state.faults) == int(Fault.SCENE_OVERFULL)
+    assert float(state.obstacle_position[0, 2]) < -5  # parked
+
+
+def test_bad_requests_are_refused(tmp_path):
+    for wanted, words in (
+        ({"task": "knots"}, "unknown task 'knots'"),
+        ({"trajectories": -3}, "trajectories is -3, expected at least 1"),
+        ({"states": 1}, "states is 1, expected at least 2"),
+        ({"engine": "bullet"}, "unknown engine 'bullet'"),
+    ):
+        request = {"task": "toy", "trajectories": 2, "states": 3} | wanted
+        with pytest.raises(ValueError, match=words):
+            collect(request.pop("task"), out=tmp_path / "none", **request)
+        assert not (tmp_path / "none").exists()
+
+
+def test_another_collections_folder_is_refused(tmp_path):
+    collect("toy", trajectories=2, states=3, out=tmp_path / "data")
+    with pytest.raises(ValueError, match="seed"):
+        collect("toy", trajectories=2, states=3, seed=1, out=tmp_path / "data")
+    assert replace(Dataset.open(tmp_path / "data").manifest).config["seed"] == 0

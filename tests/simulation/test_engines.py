@@ -1,0 +1,132 @@
+"""MJX and MuJoCo C run the same scenes to the same states."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from doojax.simulation.build import with_parameters
+from doojax.simulation.engines import make_simulator
+from doojax.simulation.rope import RopeModel, RopeParameters
+from doojax.simulation.scenes import Gripper
+from doojax.simulation.state import Fault
+from tests.simulation.scenes import no_start, planar_scene, straight_states
+
+BATCH = 8
+
+
+@pytest.fixture(scope="session")
+def scene():
+    return planar_scene()
+
+
+@pytest.fixture(scope="session")
+def on_mujoco(scene):
+    return make_simulator(scene, start=no_start, engine="mujoco")
+
+
+@pytest.fixture(scope="session")
+def on_mjx(scene):
+    return make_simulator(scene, start=no_start, engine="mjx")
+
+
+@pytest.fixture(scope="session")
+def actions():
+    angle = np.linspace(0, 2 * np.pi, BATCH, endpoint=False)
+    move = 0.12 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    return jnp.asarray(np.tile(move[:, None, None], (1, 2, 1, 1)), dtype=jnp.float32)
+
+
+def with_cube(states, x, y):
+    return eqx.tree_at(
+        lambda s: (s.obstacle_position, s.obstacle_quaternion),
+        states,
+        (
+            jnp.tile(jnp.array([[[x, y, 0.05]]]), (BATCH, 1, 1)),
+            jnp.tile(jnp.array([[[1.0, 0.0, 0.0, 0.0]]]), (BATCH, 1, 1)),
+        ),
+    )
+
+
+def test_free_motion_agrees_within_a_millimetre_after_a_second(scene, on_mujoco, on_mjx, actions):
+    states = straight_states(scene, BATCH)
+    _, by_c = on_mujoco.rollout(states, actions)
+    _, by_mjx = on_mjx.rollout(states, actions)
+    gap = jnp.linalg.norm(by_c.states.points - by_mjx.states.points, axis=-1)
+    assert gap.max() < 1e-3
+    moved = jnp.linalg.norm(by_c.states.grippers[:, -1] - by_c.states.grippers[:, 0], axis=-1)
+    np.testing.assert_allclose(moved, 0.24, atol=0.002)
+
+
+def test_a_cube_stops_the_gripper_on_both_engines(scene, on_mujoco, on_mjx, actions):
+    states = with_cube(straight_states(scene, BATCH), x=0.2, y=0.0)  # its face is 3 cm ahead of the gripper
+    straight = jnp.tile(actions[:1], (BATCH, 1, 1, 1))
+    for simulator in (on_mujoco, on_mjx):
+        _, seen = simulator.rollout(states, straight)
+        assert abs(float(seen.states.grippers[0, -1, 0, 0]) - 0.13) < 0.002  # 0.15 less the gripper's radius
+        assert float(seen.clearance.min()) > -0.002
+        assert float(seen.stretch.max()) < 0.03
+
+
+def test_two_periods_equal_two_calls_with_one_bit_for_bit(scene, on_mujoco, actions):
+    states = with_cube(straight_states(scene, BATCH), x=0.2, y=0.02)
+    last, at_once = on_mujoco.rollout(states, actions)
+    middle, _ = on_mujoco.rollout(states, actions[:, :1])
+    end, second = on_mujoco.rollout(middle, actions[:, 1:])
+    assert np.array_equal(last.qpos, end.qpos)
+    assert np.array_equal(at_once.states.points[:, 2], second.states.points[:, 1])
+
+
+def test_new_obstacles_starts_and_ropes_compile_nothing(scene, on_mjx, actions):
+    traces = []
+
+    @jax.jit
+    def run(states, actions):
+        traces.append(1)
+        return on_mjx.rollout(states, actions)[1].states.points
+
+    ropes = [scene.rope] * (BATCH - 1) + [
+        RopeParameters(0.2, 0.02, 0.4, 1e-3, bending_damping=1e-3, friction=0.3)
+    ]
+    fields = {name: jnp.asarray(value) for name, value in with_parameters(scene, ropes).items()}
+    states = replace(straight_states(scene, BATCH), model_fields=fields)
+    first = run(states, actions[:, :1])
+    moved = with_cube(states, x=0.25, y=0.1)
+    moved = eqx.tree_at(lambda s: s.qpos, moved, moved.qpos.at[:, 0].add(0.01))
+    heavier = jax.tree.map(lambda x: x, moved)
+    heavier.model_fields["body_mass"] = 1.5 * heavier.model_fields["body_mass"]
+    run(moved, actions[:, :1])
+    second = run(heavier, actions[:, :1])
+    assert len(traces) == 1
+    assert not np.array_equal(first, second)
+
+
+def test_an_element_that_blows_up_is_named_and_takes_no_other_along(scene, on_mujoco, actions):
+    states = straight_states(scene, BATCH)
+    broken = eqx.tree_at(lambda s: s.qvel, states, states.qvel.at[3, 0].set(jnp.nan))
+    _, seen = on_mujoco.rollout(broken, actions)
+    faulty = np.asarray(seen.faults & int(Fault.NOT_FINITE)).any(axis=1)
+    assert faulty.tolist() == [i == 3 for i in range(BATCH)]
+    _, healthy = on_mujoco.rollout(states, actions)
+    assert np.array_equal(seen.states.points[4:], healthy.states.points[4:])
+
+
+def test_unknown_engines_are_refused_with_the_list(scene):
+    with pytest.raises(ValueError, match="unknown engine 'bullet', expected one of auto, mujoco, mjx, warp"):
+        make_simulator(scene, start=no_start, engine="bullet")
+
+
+def test_ropes_that_make_no_sense_are_refused():
+    with pytest.raises(ValueError, match=r"rope mass is 0\.0, expected > 0"):
+        RopeParameters(1.0, 0.01, 0.0, 1e-3)
+    with pytest.raises(ValueError, match="rope friction is -1"):
+        RopeParameters(1.0, 0.01, 1.0, 1e-3, friction=-1.0)
+    with pytest.raises(ValueError, match="at least 3 links, got 2"):
+        RopeModel("capsule_chain", 2)
+    with pytest.raises(ValueError, match="gripper 0 holds link 9"):
+        planar_scene(grippers=(Gripper(9, 1, 0.02, 10.0, 0.2),))
+    with pytest.raises(ValueError, match="a rope of point masses is limp"):
+        make_simulator(planar_scene(rope_model=RopeModel("point_masses", 4)), start=no_start, engine="mujoco")

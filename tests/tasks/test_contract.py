@@ -1,0 +1,84 @@
+"""What every task promises, for every task there is."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from doojax.datasets.collect import random_trajectories
+from doojax.geometry.sdf import signed_distance
+from doojax.tasks import TASKS, make_task
+
+BATCH, PERIODS = 16, 4
+PHASES = ("unconstrained", "constrained")
+
+
+@pytest.fixture(scope="module", params=sorted(TASKS))
+def task(request):
+    return make_task(request.param)
+
+
+@pytest.fixture(scope="module", params=PHASES)
+def collected(task, request):
+    simulator = task.simulator("mujoco", request.param)
+    keys = jax.random.split(jax.random.key(0), BATCH)
+    start, seen = random_trajectories(task, simulator, keys, PERIODS, request.param)
+    return simulator, start, seen, request.param
+
+
+def test_random_trajectories_are_sound(task, collected):
+    _, start, seen, phase = collected
+    links = task.scene.rope_model.links
+    assert seen.states.points.shape == (BATCH, PERIODS + 1, links, 3)
+    assert not np.any(seen.faults) and not np.any(start.faults)
+    assert np.isfinite(seen.states.points).all()
+    assert float(seen.stretch.max()) < 0.03
+    if task.name != "toy":  # whose rope follows through walls
+        assert float((seen.clearance < -0.002).mean()) <= 0.001
+    spacing = np.linalg.norm(np.diff(seen.states.points, axis=2), axis=-1)
+    assert spacing.max() < 1.001 * task.scene.rope.length / links
+    if phase == "unconstrained":
+        assert float(seen.clearance.min()) > 100  # nothing there
+
+
+def test_unconstrained_grippers_reach_their_targets(task, collected):
+    _, _, seen, phase = collected
+    if phase == "unconstrained":
+        moved = seen.states.grippers[:, 1:] - seen.states.grippers[:, :-1]
+        assert float(jnp.abs(moved - seen.actions).max()) < 0.005
+
+
+def test_obstacles_leave_the_rope_room_at_the_start(collected):
+    _, _, seen, phase = collected
+    if phase == "constrained":
+        assert float(seen.clearance[:, 0].min()) > 0.005
+
+
+def test_goals_are_clear_of_obstacles(task, collected):
+    simulator, start, _, _ = collected
+    obstacles = jax.vmap(simulator.obstacles)(start)
+    goals = jax.vmap(task.sample_goal)(jax.random.split(jax.random.key(1), BATCH), obstacles)
+    assert float(jax.vmap(signed_distance)(obstacles, goals).min()) >= task.goal_threshold - 1e-6
+
+
+def test_the_goal_distance_is_zero_at_the_goal(task, collected):
+    _, _, seen, _ = collected
+    state = jax.tree.map(lambda leaf: leaf[0, -1], seen.states)
+    distances = [float(task.goal_distance(state, point)) for point in state.points]
+    assert min(distances) == 0.0
+    assert max(distances) > 0.0
+
+
+def test_actions_repeat_with_probability_four_fifths(task, collected):
+    _, _, seen, _ = collected
+    state = jax.tree.map(lambda leaf: leaf[0, 0], seen.states)
+    previous = jnp.full((task.grippers, 3), 1e-4).at[:, 2].set(0.0)
+    keys = jax.random.split(jax.random.key(2), 2000)
+    actions = jax.jit(jax.vmap(lambda key: task.sample_action(key, state, previous, "unconstrained")))(keys)
+    repeated = np.asarray((actions == previous).all((1, 2))).mean()
+    assert abs(repeated - 0.8) < 3 * (0.8 * 0.2 / 2000) ** 0.5
+
+
+def test_unknown_names_are_refused_with_the_list():
+    with pytest.raises(ValueError, match="unknown task 'knots', expected one of rope_dragging, dual"):
+        make_task("knots")
