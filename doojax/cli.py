@@ -20,13 +20,23 @@ import doojax
 # A command's name -> ("module:function", one line of help), or (a table of its own, one line of help).
 type Commands = Mapping[str, tuple[str | Commands, str]]
 
-BENCHMARKS: Commands = {}
+BENCHMARKS: Commands = {
+    "signature": (
+        "doojax.benchmarks.signature:signature",
+        "grasp loop signatures against the h-signature package",
+    ),
+}
 
 COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
     "render": ("doojax.viewer.render:render", "draw a data set as a picture or a film"),
     "replay": ("doojax.datasets.replay:replay", "simulate a stored trajectory again"),
+    "signature": (
+        "doojax.topology.describe:signature",
+        "print the grasp loop signature of a described scene",
+    ),
+    "bench": (BENCHMARKS, "measure speed"),
     "report": ("doojax.experiments.tables:report", "write the tables of README and docs from results/"),
 }
 

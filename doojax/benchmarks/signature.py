@@ -120,7 +120,7 @@ def jittered(scene: Scene) -> topology.Grasps:
 
 def released_signature(scene: Scene) -> tuple[Callable[[], tuple[tuple[int, ...], ...]], str]:
     """The same signature by the h-signature package, loops in advance; and the package's name and version."""
-    from h_signature.h_signature_np import get_h_signature  # only this benchmark needs it
+    from h_signature.h_signature_np import get_h_signature  # pyright: ignore[reportMissingImports]
 
     loops = topology.loops_of(scene.grasps)
     paths = [without_padding(path) for path in np.asarray(loops.points[loops.active], float)]
