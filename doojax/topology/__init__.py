@@ -4,7 +4,9 @@ from doojax.topology.field import field_line as field_line
 from doojax.topology.field import magnetic_field as magnetic_field
 from doojax.topology.grasp_loops import GraspLoops as GraspLoops
 from doojax.topology.grasp_loops import Grasps as Grasps
+from doojax.topology.grasp_loops import Holder as Holder
 from doojax.topology.grasp_loops import loops_of as loops_of
+from doojax.topology.grasp_loops import make_grasps as make_grasps
 from doojax.topology.grasp_loops import signature as signature
 from doojax.topology.linking import TOUCHING as TOUCHING
 from doojax.topology.linking import Linking as Linking

@@ -80,8 +80,8 @@ def signature(file: Path, /, *, keep_empty: bool = False) -> None:
         ValueError: the file does not describe a scene, or a grasp loop touches an obstacle loop.
     """
     scene = read_scene(file)
-    loops = loops_of(scene.grasps)
-    pairs = jax.vmap(jax.vmap(linking_of, (None, 0)), (0, None))(loops.points, scene.skeleton.loops)
+    loops = jax.jit(loops_of)(scene.grasps)
+    pairs = jax.jit(jax.vmap(jax.vmap(linking_of, (None, 0)), (0, None)))(loops.points, scene.skeleton.loops)
     lines = []
     for place in np.flatnonzero(loops.active):
         holders = " - ".join(scene.holders[end] for end in np.asarray(loops.holders[place]))
@@ -94,7 +94,8 @@ def signature(file: Path, /, *, keep_empty: bool = False) -> None:
                     f"{margin:.3g} m, so that their linking number is not defined"
                 )
             lines.append(f"  {name}: {int(pairs.number[place, other]):+d}, {margin:.4f} m away")
-    print(grasp_loops.signature(scene.grasps, scene.skeleton, remove_empty=not keep_empty))
+    compute = jax.jit(grasp_loops.signature, static_argnames="remove_empty")
+    print(compute(scene.grasps, scene.skeleton, remove_empty=not keep_empty))
     print(*(lines or ["no grasp loops"]), sep="\n")
 
 

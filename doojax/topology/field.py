@@ -36,8 +36,10 @@ def magnetic_field(loop: Float[Array, "P 3"], point: Float[Array, "3"]) -> Float
 
 def field_line(
     loop: Float[Array, "P 3"], start: Float[Array, "3"], *, step: float, count: int
-) -> Float[Array, "count+1 3"]:
-    """Points along the field from `start`, `step` metres apart (against it if negative): one line to draw.
+) -> Float[Array, "N 3"]:
+    """A line to draw: `start` and `count` more points along the field, `step` metres apart.
+
+    A negative step goes against the field.
 
     Each step is one of Runge and Kutta's, of fourth order, along the unit vector of the field.
     """

@@ -20,9 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
-from numpy.typing import ArrayLike
 
-from doojax.topology.linking import Grid, check_points, crossings, is_closed
+from doojax.topology.linking import Grid, Points, check_points, crossings, is_closed
 from doojax.topology.signatures import Signature, canonical
 from doojax.topology.skeletons import Skeleton
 
@@ -60,12 +59,12 @@ class Holder(NamedTuple):
     """What holds the rope: a gripper or an attachment."""
 
     location: float  # of the held point, as a fraction of the rope
-    path: ArrayLike = ()  # [points, 3] from the base, which is not repeated, towards the rope; metres
+    path: Points = ()  # [points, 3] from the base, which is not repeated, towards the rope; metres
 
 
 def make_grasps(
-    rope: ArrayLike,
-    base: ArrayLike,
+    rope: Points,
+    base: Points,
     grippers: Mapping[str, Holder],
     attachments: Mapping[str, Holder] | None = None,
     *,
@@ -193,10 +192,10 @@ def loops_of(grasps: Grasps) -> GraspLoops:
 class _Parts(eqx.Module):
     """What loops are made of: loop i goes up tether order[i], along rope i, and down tether order[i + 1]."""
 
-    gripper_tethers: Float[Array, "G P+2 3"]  # from the base to the rope
-    attachment_tethers: Float[Array, "A Q+2 3"]
+    gripper_tethers: Float[Array, "G T 3"]  # from the base to the rope
+    attachment_tethers: Float[Array, "A U 3"]
     rope: Float[Array, "L N 3"]
-    order: Int[Array, "L+1"]  # of the holders along the rope; those that are not active come last
+    order: Int[Array, "H"]  # of the holders along the rope; those that are not active come last
     is_loop: Bool[Array, "L"]
     of_grippers: Bool[Array, "L"]  # both holders are
 

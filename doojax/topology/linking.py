@@ -17,6 +17,8 @@ closer ones are reported.
 """
 
 import functools
+from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,7 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
-from numpy.typing import ArrayLike
+
+Points = np.ndarray | Array | Sequence[Any]
+"""What an unchecked polyline or point may be given as: an array, or lists of numbers."""
 
 TOUCHING = 1e-5
 """Curves closer than this fraction of the longest side of their bounding box are reported as touching."""
@@ -86,7 +90,7 @@ def linking_of(first: Float[Array, "P 3"], second: Float[Array, "Q 3"]) -> Linki
     return Linking(jnp.sum(numbers), margin, touching)
 
 
-def linking_number(first: ArrayLike, second: ArrayLike) -> int:
+def linking_number(first: Points, second: Points) -> int:
     """Signed linking number of two loops, for use outside of jit: `linking_of` with every input checked.
 
     Raises:
@@ -102,7 +106,7 @@ def linking_number(first: ArrayLike, second: ArrayLike) -> int:
     return int(result.number)
 
 
-def check_loop(points: ArrayLike, name: str) -> Float[np.ndarray, "P 3"]:
+def check_loop(points: Points, name: str) -> Float[np.ndarray, "P 3"]:
     """The points as an array, if they are a loop: closed, finite, at least three points, no repeated ones.
 
     Args:
@@ -126,7 +130,7 @@ def check_loop(points: ArrayLike, name: str) -> Float[np.ndarray, "P 3"]:
     return loop
 
 
-def check_points(points: ArrayLike, name: str) -> Float[np.ndarray, "P 3"]:
+def check_points(points: Points, name: str) -> Float[np.ndarray, "P 3"]:
     """The points as an array, if they are finite and have three coordinates each.
 
     Raises:

@@ -110,7 +110,7 @@ def distance(first: Signature, second: Signature) -> Int[Array, ""]:
         for rows, used in ((first_rows, first_used), (second_rows, second_used))
     )
     costs = jnp.sum(jnp.abs(one[:, None] - other[None]), axis=-1)
-    pairings = np.array(list(itertools.permutations(range(len(slots)))), int).reshape(-1, len(slots))
+    pairings = np.array(list(itertools.permutations(range(len(slots)))), int)
     return jnp.min(jnp.sum(costs[slots, pairings], axis=-1))
 
 

@@ -21,10 +21,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
-from numpy.typing import ArrayLike
 
 from doojax.geometry import Grid, fill_mesh_grid, grid_covering, occupancy, quaternion_to_matrix
-from doojax.topology.linking import check_loop
+from doojax.topology.linking import Points, check_loop
 from doojax.topology.thinning import handle_loops
 from doojax.types import Obstacles, ShapeKind
 
@@ -45,7 +44,7 @@ class Skeleton(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
 
-def make_skeleton(loops: Mapping[str, ArrayLike]) -> Skeleton:
+def make_skeleton(loops: Mapping[str, Points]) -> Skeleton:
     """A skeleton from named loops, each [points, 3] in metres with its first point repeated at its end.
 
     Raises:
@@ -58,7 +57,7 @@ def make_skeleton(loops: Mapping[str, ArrayLike]) -> Skeleton:
     return Skeleton(jnp.asarray(points, float), jnp.ones(len(checked), bool), tuple(loops))
 
 
-def rectangle(centre: ArrayLike, half_across: ArrayLike, half_up: ArrayLike) -> Float[np.ndarray, "5 3"]:
+def rectangle(centre: Points, half_across: Points, half_up: Points) -> Float[np.ndarray, "5 3"]:
     """The loop around a frame: centre and vectors from it to the middles of two adjacent sides, metres.
 
     It turns from the first vector to the second, so that its field passes through it along their cross

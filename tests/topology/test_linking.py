@@ -119,7 +119,7 @@ def test_ten_thousand_random_pairs_agree_with_the_oracle(seed, kind, first_point
     np.testing.assert_array_equal(results.number[apart], number)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(**pair_arguments)
 def test_what_does_not_change_a_linking_number(seed, kind, first_points, second_points):
     rng = np.random.default_rng(seed)
@@ -176,7 +176,7 @@ def test_a_motion_that_keeps_the_curves_apart_keeps_the_linking_number(seed):
     assert np.abs(pairs - start).mean() > 0.2, "they moved"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(**pair_arguments)
 def test_single_precision_equals_double_wherever_the_margin_exceeds_1e_4(
     seed, kind, first_points, second_points
