@@ -176,9 +176,8 @@ def test_random_states_agree_with_algorithm_4_to_the_letter(seed):
 def test_the_loops_as_polylines_have_the_numbers_and_margins_of_the_signature(seed):
     rng = np.random.default_rng(seed)
     state = random_state(rng)
-    skeleton = make_skeleton(
-        {"one": curves.closed(rng.normal(size=(5, 3))), "two": curves.closed(rng.normal(size=(4, 3)))}
-    )
+    obstacles = [curves.closed(rng.normal(size=(points, 3))) for points in (5, 4)]
+    skeleton = make_skeleton({str(place): loop for place, loop in enumerate(obstacles)})
     found, loops = jitted(state, skeleton, remove_empty=False), polylines(state)
     active = np.asarray(loops.active)
     assert int(found.count) == active.sum()
@@ -187,10 +186,8 @@ def test_the_loops_as_polylines_have_the_numbers_and_margins_of_the_signature(se
     number = np.abs(all_pairs(loops.points, skeleton.loops).number)[active]
     if not found.touching:
         assert found.vectors == tuple(sorted(map(tuple, number.tolist()), reverse=True))
-    margins = [oracle_margin(path, loop) for path in paths for loop in np.asarray(skeleton.loops)]
-    size = np.ptp(
-        np.concatenate([paths.reshape(-1, 3), skeleton.loops.reshape(-1, 3), state.rope]), axis=0
-    ).max()
+    margins = [oracle_margin(path, loop) for path in paths for loop in obstacles]
+    size = float(np.ptp(np.concatenate([paths.reshape(-1, 3), *obstacles, state.rope]), axis=0).max())
     if margins:
         assert float(found.margin) == pytest.approx(min(margins), abs=4e-6 * size)
     else:
