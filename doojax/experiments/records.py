@@ -152,7 +152,8 @@ class TrialRecord:
     look: Look
     obstacles: Obstacles
     goal: Float[np.ndarray, "3"]
-    goal_radius: float  # within it the goal is reached
+    goal_radius: float  # m, within which the goal is reached
+    goal_point: int  # index of the rope's point that is to reach it
     points: Float[np.ndarray, "T1 N 3"]  # what was executed
     grippers: Float[np.ndarray, "T1 G 3"]
     plans: tuple[PlanRecord, ...]
@@ -164,6 +165,7 @@ class TrialRecord:
     def __post_init__(self):
         """Refuse arrays that do not fit together."""
         _expect("goal", self.goal, (3,))
+        _expect_range("goal_point", np.array([self.goal_point]), 0, self.points.shape[1] - 1)
         _expect("grippers", self.grippers, (len(self.points), *self.grippers.shape[1:2], 3))
         for name, items in (("plans", self.plans), ("events", self.events)):
             _expect_range(f"step of {name}", np.array([item.step for item in items]), 0, len(self.points) - 1)

@@ -1,0 +1,213 @@
+"""A `Drawing` on a viser scene: only what changed travels to the page."""
+
+from typing import Any
+
+import numpy as np
+import viser
+from jaxtyping import Float, UInt8
+
+from doojax.experiments.drawing import Colour
+from doojax.types import Obstacles
+from doojax.viewer import colours as palette
+from doojax.viewer import shapes
+from doojax.viewer.episodes import rotation_matrices
+
+Colours = Colour | UInt8[np.ndarray, "K 3"]
+
+
+class SceneDrawing:
+    """Implements `doojax.experiments.drawing.Drawing` below one node of a viser scene.
+
+    A rope or ball drawn again at another place sends its new vertices or positions, nothing else.
+    """
+
+    def __init__(self, scene: viser.SceneApi, root: str = ""):
+        """Draw below the scene node ``root``, in its frame; "" is the world."""
+        self._scene = scene
+        self._root = root
+        self._handles: dict[str, Any] = {}
+        self._about: dict[str, tuple] = {}  # what a handle cannot change: if it differs, a new one is made
+
+    def rope(
+        self,
+        name: str,
+        points: Float[np.ndarray, "N 3"],
+        *,
+        radius: float,
+        colour: Colour,
+        opacity: float = 1.0,
+    ) -> None:
+        """See `Drawing.rope`."""
+        if not np.isfinite(points).all():
+            self.remove(name)
+            return
+        vertices, faces = shapes.tube(points, radius)
+        if self._stays(name, ("rope", len(vertices), colour, opacity)):
+            self._handles[name].vertices = vertices
+        else:
+            self._keep(
+                name,
+                self._scene.add_mesh_simple(
+                    self._path(name), vertices, faces, color=colour, opacity=opacity if opacity < 1 else None
+                ),
+            )
+
+    def spheres(
+        self,
+        name: str,
+        centres: Float[np.ndarray, "K 3"],
+        *,
+        radius: float,
+        colours: Colours,
+        opacity: float = 1.0,
+    ) -> None:
+        """See `Drawing.spheres`."""
+        centres = np.asarray(centres, dtype=np.float32)
+        each = np.broadcast_to(np.asarray(colours, dtype=np.uint8), centres.shape)
+        known = np.isfinite(centres).all(-1)
+        centres, each = centres[known], each[known]
+        if not len(centres):
+            self.remove(name)
+        elif self._stays(name, ("spheres", len(centres), radius, opacity)):
+            self._handles[name].batched_positions = centres
+            self._handles[name].batched_colors = each
+        else:
+            vertices, faces = shapes.sphere(radius)
+            turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1))
+            handle = self._scene.add_batched_meshes_simple(
+                self._path(name),
+                vertices,
+                faces,
+                turns,
+                centres,
+                batched_colors=each,
+                opacity=opacity if opacity < 1 else None,
+                lod="off",
+                cast_shadow=opacity == 1,
+            )
+            self._keep(name, handle)
+
+    def points(self, name: str, points: Float[np.ndarray, "K 3"], *, size: float, colours: Colours) -> None:
+        """See `Drawing.points`."""
+        points = np.asarray(points, dtype=np.float32)
+        each = np.broadcast_to(np.asarray(colours, dtype=np.uint8), points.shape)
+        self._stays(name, ())
+        handle = self._scene.add_point_cloud(
+            self._path(name),
+            points,
+            each,
+            point_size=size,
+            point_shape="circle",
+            precision="float32",
+            point_shading="flat",
+        )
+        self._keep(name, handle)
+
+    def lines(
+        self,
+        name: str,
+        segments: Float[np.ndarray, "K 2 3"],
+        *,
+        width: float,
+        colours: Colours,
+    ) -> None:
+        """See `Drawing.lines`."""
+        segments = np.asarray(segments, dtype=np.float32)
+        each = np.broadcast_to(np.asarray(colours, dtype=np.uint8), (len(segments), 3))
+        known = np.isfinite(segments).all((1, 2))
+        segments, each = segments[known], np.repeat(each[known][:, None], 2, axis=1)
+        if not len(segments):
+            self.remove(name)
+            return
+        self._stays(name, ())
+        handle = self._scene.add_line_segments(
+            self._path(name), segments, each, thickness=width, thickness_units="screen"
+        )
+        self._keep(name, handle)
+
+    def obstacles(self, name: str, obstacles: Obstacles, *, colour: Colour, opacity: float = 1.0) -> None:
+        """See `Drawing.obstacles`; a table top is drawn in its own colour."""
+        kind, centre, half_size, active = (
+            np.asarray(getattr(obstacles, field)) for field in ("kind", "centre", "half_size", "active")
+        )
+        turns = rotation_matrices(np.asarray(obstacles.quaternion))
+        by_colour: dict[Colour, list[shapes.Mesh]] = {}
+        for i in np.flatnonzero(active):
+            vertices, faces = shapes.shape(int(kind[i]), half_size[i])
+            shown = palette.obstacle_colour(half_size[i]) if colour == palette.OBSTACLE else colour
+            by_colour.setdefault(shown, []).append((vertices @ turns[i].T + centre[i], faces))
+        self.remove(name)
+        for number, (shown, meshes) in enumerate(by_colour.items()):
+            vertices, faces = merged(meshes)
+            handle = self._scene.add_mesh_simple(
+                self._path(f"{name}/{number}"),
+                vertices,
+                faces,
+                color=shown,
+                opacity=opacity if opacity < 1 else None,
+                flat_shading=True,
+                side="double" if opacity < 1 else "front",
+            )
+            self._keep(f"{name}/{number}", handle)
+
+    def axes(
+        self,
+        name: str,
+        position: Float[np.ndarray, "3"],
+        quaternion: Float[np.ndarray, "4"],
+        *,
+        length: float = 0.1,
+    ) -> None:
+        """See `Drawing.axes`."""
+        self._stays(name, ())
+        handle = self._scene.add_frame(
+            self._path(name),
+            position=np.asarray(position, dtype=float),
+            wxyz=np.asarray(quaternion, dtype=float),
+            axes_length=length,
+            axes_radius=length / 30,
+            origin_radius=length / 20,
+        )
+        self._keep(name, handle)
+
+    def text(self, name: str, text: str, position: Float[np.ndarray, "3"]) -> None:
+        """See `Drawing.text`."""
+        if self._stays(name, ("text",)):
+            self._handles[name].text = text
+            self._handles[name].position = np.asarray(position, dtype=float)
+        else:
+            place = np.asarray(position, dtype=float)
+            self._keep(name, self._scene.add_label(self._path(name), text, position=place))
+
+    def remove(self, name: str) -> None:
+        """See `Drawing.remove`."""
+        for key in [key for key in self._handles if key == name or key.startswith(f"{name}/")]:
+            self._about.pop(key, None)
+            self._handles.pop(key).remove()
+
+    def clear(self) -> None:
+        """Remove everything that was drawn."""
+        for key in list(self._handles):
+            self.remove(key)
+
+    def _path(self, name: str) -> str:
+        return f"{self._root}/{name}"
+
+    def _stays(self, name: str, about: tuple) -> bool:
+        """Whether the handle of this name can go on; if not, it is taken away."""
+        if about and self._about.get(name) == about:
+            return True
+        self.remove(name)
+        self._about[name] = about
+        return False
+
+    def _keep(self, name: str, handle: Any) -> None:
+        self._handles[name] = handle
+
+
+def merged(meshes: list[shapes.Mesh]) -> shapes.Mesh:
+    """Several meshes as one, which is one object to draw."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes[:-1])])
+    vertices = np.concatenate([vertices for vertices, _ in meshes]).astype(np.float32)
+    faces = np.concatenate([faces + offset for (_, faces), offset in zip(meshes, first, strict=True)])
+    return vertices, faces.astype(np.uint32)

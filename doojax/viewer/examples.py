@@ -1,0 +1,234 @@
+"""Made-up data sets and records to try the viewer on: a towed rope among boxes, without physics."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from doojax.datasets import DatasetWriter, Field
+from doojax.experiments.records import Event, Grid, Look, PlanRecord, PredictionRecord, TrialRecord
+from doojax.geometry import signed_distance
+from doojax.types import Obstacles, ShapeKind
+
+POINTS, PITCH, RADIUS = 10, 0.05, 0.02
+LOOK = Look(rope_radius=RADIUS, rope_end=PITCH / 2, gripper_radius=0.02)
+BOXES = 4
+STATES = 30
+STEP = 0.06  # m, the longest move of the gripper
+
+
+def tow(
+    points: Float[np.ndarray, "*b N 3"], gripper: Float[np.ndarray, "*b 3"]
+) -> Float[np.ndarray, "*b N 3"]:
+    """Each point follows the next at its distance; the last one is where the gripper is."""
+    towed = np.array(points)
+    towed[..., -1, :] = gripper
+    for i in range(towed.shape[-2] - 2, -1, -1):
+        gap = towed[..., i, :] - towed[..., i + 1, :]
+        towed[..., i, :] = towed[..., i + 1, :] + PITCH * gap / np.linalg.norm(gap, axis=-1, keepdims=True)
+    return towed
+
+
+def straight(count: int, generator: np.random.Generator) -> Float[np.ndarray, "count N 3"]:
+    """Straight ropes on the floor."""
+    angle = generator.uniform(0, 2 * np.pi, (count, 1, 1))
+    along = PITCH * np.arange(POINTS)[None, :, None]
+    tail = np.append(generator.uniform(-0.4, 0.4, (count, 1, 2)), np.full((count, 1, 1), RADIUS), axis=-1)
+    return tail + along * np.concatenate([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+
+
+def wander(count: int, states: int, generator: np.random.Generator) -> Float[np.ndarray, "count states N 3"]:
+    """Ropes towed about at random."""
+    ropes = [straight(count, generator)]
+    heading = generator.uniform(0, 2 * np.pi, count)
+    for _ in range(states - 1):
+        heading += generator.normal(0, 0.5, count)
+        move = STEP * np.stack([np.cos(heading), np.sin(heading), 0 * heading], axis=-1)
+        target = ropes[-1][:, -1] + move
+        outside = np.abs(target[:, :2]).max(-1) > 0.9
+        heading[outside] += np.pi
+        target[outside] -= 2 * move[outside]
+        ropes.append(tow(ropes[-1], target))
+    return np.stack(ropes, axis=1).astype(np.float32)
+
+
+def boxes(generator: np.random.Generator) -> Obstacles:
+    """A few boxes, a cylinder and a lying capsule."""
+    place = np.append(generator.uniform(-0.8, 0.8, (BOXES + 2, 2)), np.full((BOXES + 2, 1), 0.1), axis=1)
+    yaw = generator.uniform(0, np.pi, BOXES + 2)
+    turn = np.stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)], axis=-1)
+    half = np.tile([0.12, 0.08, 0.1], (BOXES + 2, 1))
+    half[-2:] = [[0.08, 0.08, 0.1], [0.05, 0.05, 0.12]]
+    turn[-1], place[-1, 2] = [np.cos(np.pi / 4), np.sin(np.pi / 4), 0, 0], 0.05
+    kind = [ShapeKind.BOX] * BOXES + [ShapeKind.CYLINDER, ShapeKind.CAPSULE]
+    return Obstacles(
+        kind=jnp.array(kind, dtype=jnp.int32),
+        centre=jnp.array(place, dtype=jnp.float32),
+        quaternion=jnp.array(turn, dtype=jnp.float32),
+        half_size=jnp.array(half, dtype=jnp.float32),
+        active=jnp.ones(BOXES + 2, dtype=bool),
+    )
+
+
+def write_dataset(
+    path: Path, trajectories: int, *, seed: int = 0, states: int = STATES, shards: int | None = None
+) -> None:
+    """Write a data set; if ``shards`` is given, only so many, as if collecting had been cut short."""
+    shapes = BOXES + 2
+    schema = {
+        "points": Field((states, POINTS, 3), "float32", "m", "points along the rope"),
+        "grippers": Field((states, 1, 3), "float32", "m", "gripper positions"),
+        "actions": Field((states - 1, 1, 3), "float32", "m", "gripper displacements"),
+        "faults": Field((states - 1,), "int32", "1", "fault bits"),
+        "clearance": Field((states,), "float32", "m", "distance to the nearest obstacle"),
+        "stretch": Field((states,), "float32", "1", "lengthening over length"),
+        "obstacle_kind": Field((shapes,), "int32", "1", "shape"),
+        "obstacle_centre": Field((shapes, 3), "float32", "m", "centre"),
+        "obstacle_quaternion": Field((shapes, 4), "float32", "1", "body to world"),
+        "obstacle_half_size": Field((shapes, 3), "float32", "m", "half size"),
+        "obstacle_active": Field((shapes,), "bool", "1", "is it there"),
+        "environment": Field((), "int32", "1", "number of the scene"),
+    }
+    config = {"task": "rope_dragging", "phase": "constrained", "engine": "none", "seed": seed}
+    writer = DatasetWriter.open(path, config=config, schema=schema, n=trajectories)
+    for shard in writer.missing_shards()[:shards]:
+        rows = writer.manifest.rows(shard)
+        generator = np.random.default_rng([seed, shard])
+        ropes = wander(len(rows), states, generator)
+        obstacles = boxes(generator)
+        grippers = ropes[:, :, -1:]
+        towards = np.linalg.norm(np.asarray(obstacles.centre)[:, :2] - grippers[..., :2], axis=-1)
+        values = {
+            "points": ropes,
+            "grippers": grippers,
+            "actions": np.diff(grippers, axis=1),
+            "faults": np.zeros((len(rows), states - 1), np.int32),
+            "clearance": towards.min(-1).astype(np.float32) - np.float32(0.1),
+            "stretch": np.abs(generator.normal(0, 0.002, (len(rows), states))).astype(np.float32),
+            "environment": np.full(len(rows), shard, np.int32),
+        }
+        for name, value in vars(obstacles).items():
+            values[f"obstacle_{name}"] = np.repeat(np.asarray(value)[None], len(rows), axis=0)
+        writer.write(shard, values)
+    if not writer.missing_shards():
+        writer.finish()
+
+
+def prediction_record(*, seed: int = 0, predictions: int = 5, horizon: int = 10) -> PredictionRecord:
+    """A model that errs the more, the further it looks ahead, with a classifier that notices."""
+    generator = np.random.default_rng(seed)
+    obstacles = boxes(generator)
+    ropes = wander(1, STATES, generator)[0]
+    start = np.linspace(0, STATES - horizon - 1, predictions).astype(int)
+    true = np.stack([ropes[first : first + horizon + 1] for first in start])
+    drift = generator.normal(0, 1, (predictions, 1, 1, 3)) * [1, 1, 0]
+    ahead = np.arange(horizon + 1)[None, :, None, None] / horizon
+    away = np.linspace(1, 0.3, POINTS)[None, None, :, None]
+    predicted = (true + 0.06 * drift * ahead**1.5 * away).astype(np.float32)
+    error = np.linalg.norm(predicted - true, axis=-1).mean(-1)
+    size, spacing = 48, 2.4 / 48
+    axis = spacing * (np.arange(size) - (size - 1) / 2)
+    height = spacing * np.arange(4) + RADIUS
+    places = np.stack(np.meshgrid(axis, axis, height, indexing="ij"), axis=-1)
+    distance = np.asarray(signed_distance(obstacles, jnp.array(places, dtype=jnp.float32)))
+    return PredictionRecord(
+        task="rope_dragging",
+        look=LOOK,
+        obstacles=obstacles,
+        points=ropes,
+        grippers=ropes[:, -1:],
+        start=start,
+        predicted_points=predicted,
+        predicted_grippers=predicted[:, :, -1:],
+        scores={
+            "accept probability": 1 / (1 + np.exp(80 * (error - 0.04))),
+            "ensemble deviation (m)": 0.6 * error + 0.002,
+        },
+        thresholds={"accept probability": 0.5},
+        grid=Grid(distance[None], np.array([[axis[0], axis[0], height[0]]]), spacing),
+        about={"seed": seed, "model": "made up"},
+    )
+
+
+def plan_record(
+    nodes: int,
+    generator: np.random.Generator,
+    root: Float[np.ndarray, "N 3"],
+    goal: Float[np.ndarray, "3"],
+    step: int,
+) -> PlanRecord:
+    """A random tree from a rope; its path leads to the node nearest to the goal."""
+    parent, accepted = np.full(nodes, -1), np.ones(nodes, dtype=bool)
+    ropes = np.empty((nodes, POINTS, 3), dtype=np.float32)
+    ropes[0] = root
+    done = 1
+    while done < nodes:  # grown in blocks, each of which extends what the ones before left
+        count = min(max(done // 2, 8), nodes - done)
+        usable = np.flatnonzero(accepted[:done])
+        chosen = generator.choice(usable, count)
+        angle = generator.uniform(0, 2 * np.pi, count)
+        move = STEP * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+        block = slice(done, done + count)
+        ropes[block] = tow(ropes[chosen], ropes[chosen, -1] + move)
+        parent[block] = chosen
+        accepted[block] = (generator.random(count) > 0.25) & (np.abs(ropes[block, -1, :2]).max(-1) < 1.0)
+        done += count
+    distance = np.where(accepted, np.linalg.norm(ropes[:, 0] - goal, axis=-1), np.inf)
+    path = [int(np.argmin(distance))]
+    while parent[path[-1]] >= 0:
+        path.append(int(parent[path[-1]]))
+    score = np.where(accepted, generator.uniform(0.5, 1, nodes), generator.uniform(0, 0.5, nodes))
+    return PlanRecord(
+        step=step,
+        parent=parent,
+        points=ropes,
+        grippers=ropes[:, -1:],
+        accepted=accepted,
+        path=np.array(path[::-1]),
+        score=score,
+    )
+
+
+def trial_record(*, seed: int = 0, nodes: int = 600) -> TrialRecord:
+    """Two plans: the first is left, there is a recovery, and the second is executed."""
+    generator = np.random.default_rng(seed)
+    obstacles = boxes(generator)
+    goal = np.array([0.55, -0.35, RADIUS])
+    first = plan_record(nodes, generator, straight(1, generator)[0], goal, 0)
+    executed = list(first.points[first.path[: max(len(first.path) // 2, 2)]])
+    stuck = len(executed) - 1
+    for _ in range(2):
+        executed.append(tow(executed[-1], executed[-1][-1] + [0.0, STEP, 0.0]).astype(np.float32))
+    again = len(executed) - 1
+    second = plan_record(nodes, generator, executed[-1], goal, again)
+    executed += list(second.points[second.path[1:]])
+    ropes = np.stack(executed)
+    last = len(ropes) - 1
+    distance = float(np.linalg.norm(ropes[-1, 0] - goal))
+    radius = 0.05
+    reached = distance < radius
+    end = "goal reached" if reached else f"plan executed, tail {100 * distance:.0f} cm from the goal"
+    events = (
+        Event(0, "plan", f"{nodes} nodes"),
+        Event(0, "execute", f"{len(first.path) - 1} steps"),
+        Event(stuck, "recover", "the rope is not where it was predicted"),
+        Event(again, "replan", f"{nodes} nodes"),
+        Event(again, "execute", f"{len(second.path) - 1} steps"),
+        Event(last, "end", end),
+    )
+    return TrialRecord(
+        task="rope_dragging",
+        method="made up",
+        seed=seed,
+        look=LOOK,
+        obstacles=obstacles,
+        goal=goal,
+        goal_radius=radius,
+        goal_point=0,
+        points=ropes,
+        grippers=ropes[:, -1:],
+        plans=(first, second),
+        events=events,
+        reached=reached,
+    )

@@ -1,0 +1,147 @@
+"""Plots in the page."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import viser
+import viser.uplot
+from jaxtyping import Float
+
+from doojax.experiments.drawing import Colour
+from doojax.viewer import colours
+
+HEIGHT = 150  # pixels
+BINS = 24
+LINES: tuple[Colour, ...] = (colours.ROPE, colours.CHOSEN, colours.GOAL, colours.PREDICTION)
+
+
+class TimePlot:
+    """Curves over the states of what is shown, with a mark at the present moment."""
+
+    def __init__(self, gui: viser.GuiApi, title: str):
+        """An empty plot in the page's current folder."""
+        self._gui, self._title = gui, title
+        self._folder = gui.add_folder(None)
+        self._handle: viser.GuiUplotHandle | None = None
+        self._names: tuple[str, ...] = ()
+        self._marked = -1
+
+    def set(
+        self, curves: Mapping[str, Float[np.ndarray, "T1"]], levels: Mapping[str, float] | None = None
+    ) -> None:
+        """Show other curves, one value a state, and horizontal lines at the heights ``levels``."""
+        levels = levels or {}
+        count = max((len(values) for values in curves.values()), default=0)
+        states = np.arange(count, dtype=float)
+        lines = {name: np.asarray(values, dtype=float) for name, values in curves.items()}
+        lines |= {name: np.full(count, height) for name, height in levels.items()}
+        finite = [values[np.isfinite(values)] for values in lines.values()]
+        everything = np.concatenate(finite) if finite else np.zeros(0)
+        if count < 2 or not everything.size:
+            self._drop()
+            return
+        low, high = float(everything.min()), float(everything.max())
+        room = 0.05 * (high - low) or 0.5
+        self._bounds = low - room, high + room
+        self._data = (states, *lines.values())
+        if self._handle is None or self._names != tuple(lines):
+            self._drop()
+            self._names = tuple(lines)
+            series: list[viser.uplot.Series] = [viser.uplot.Series(label="state")]
+            for index, name in enumerate(lines):
+                level = name in levels
+                line = viser.uplot.Series(
+                    label=name,
+                    stroke=_css(colours.PALE_INK if level else LINES[index % len(LINES)]),
+                    width=1 if level else 2,
+                    points={"show": False},
+                )
+                if level:
+                    line["dash"] = (4, 4)
+                series.append(line)
+            now = viser.uplot.Series(label="now", stroke=_css(colours.INK), width=1, points={"show": False})
+            with self._folder:
+                self._handle = self._gui.add_uplot(
+                    self._with_mark(0),
+                    (*series, now),
+                    title=self._title,
+                    scales=self._scales(),
+                    height=HEIGHT,
+                    legend={"show": len(lines) > 1, "live": False},
+                    padding=(10, 14, 0, 0),
+                )
+        else:
+            self._handle.scales = self._scales()
+            self._handle.data = self._with_mark(0)
+        self._marked = 0
+
+    def mark(self, moment: float) -> None:
+        """Move the mark to the state nearest to a moment."""
+        state = int(moment)
+        if self._handle is not None and state != self._marked:
+            self._marked = state
+            self._handle.data = self._with_mark(state)
+
+    def _with_mark(self, state: int) -> tuple[Float[np.ndarray, "K"], ...]:
+        """The curves with two more points at ``state``, where the mark leaves the bottom and comes back."""
+        states, *lines = self._data
+        at = int(np.clip(state, 0, len(states) - 1))
+        low, high = self._bounds
+        mark = np.full(len(states) + 2, low)
+        mark[at + 1] = high
+        return (*(np.insert(line, at, [line[at]] * 2) for line in (states, *lines)), mark)
+
+    def _scales(self) -> dict[str, viser.uplot.Scale]:
+        return {"x": viser.uplot.Scale(time=False), "y": viser.uplot.Scale(range=self._bounds)}
+
+    def _drop(self) -> None:
+        if self._handle is not None:
+            self._handle.remove()
+            self._handle = None
+        self._names = ()
+
+
+class Histogram:
+    """How the values of one column are spread."""
+
+    def __init__(self, gui: viser.GuiApi):
+        """An empty plot in the page's current folder."""
+        self._gui = gui
+        self._folder = gui.add_folder(None)
+        self._handle: viser.GuiUplotHandle | None = None
+
+    def set(self, name: str, values: Float[np.ndarray, "n"], chosen: Float[np.ndarray, "k"]) -> None:
+        """Show the spread of all values and of those that the filter lets through; "" shows nothing."""
+        if self._handle is not None:
+            self._handle.remove()
+            self._handle = None
+        values, chosen = values[np.isfinite(values)], chosen[np.isfinite(chosen)]
+        if not name or not len(values):
+            return
+        edges = np.histogram_bin_edges(values, bins=BINS)
+        counts = [np.histogram(some, bins=edges)[0].astype(float) for some in (values, chosen)]
+        steps = np.repeat(edges, 2)[1:-1]
+        tops = [np.repeat(count, 2) for count in counts]
+        series = [viser.uplot.Series(label=name)]
+        for label, colour in (("all", colours.PALE_INK), ("shown", colours.CHOSEN)):
+            red, green, blue = colour
+            fill = f"rgba({red}, {green}, {blue}, 0.35)"
+            series.append(
+                viser.uplot.Series(
+                    label=label, stroke=_css(colour), fill=fill, width=1, points={"show": False}
+                )
+            )
+        with self._folder:
+            self._handle = self._gui.add_uplot(
+                (steps, *tops),
+                tuple(series),
+                title=f"trajectories by {name}",
+                scales={"x": {"time": False}},
+                height=HEIGHT,
+                legend={"show": False},
+                padding=(10, 14, 0, 0),
+            )
+
+
+def _css(colour: Colour) -> str:
+    return f"rgb({colour[0]}, {colour[1]}, {colour[2]})"
