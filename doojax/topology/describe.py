@@ -50,9 +50,8 @@ def read_scene(file: Path | str) -> Scene:
     """
     file = Path(file)
     try:
-        content = _fields_of(
-            json.loads(file.read_text(encoding="utf-8")), "the scene", _FIELDS, {"attachments"}
-        )
+        content = json.loads(file.read_text(encoding="utf-8"))
+        content = {"attachments": {}} | _fields_of(content, "the scene", _FIELDS, optional={"attachments"})
         grippers, attachments = (
             {
                 name: Holder(**_fields_of(item, f"{kind} {name!r}", {"location", "path"}))
@@ -93,7 +92,8 @@ def signature(file: Path, /, *, keep_empty: bool = False) -> None:
                     f"grasp loop {holders} and skeleton loop {name!r} touch: their least distance is "
                     f"{margin:.3g} m, so that their linking number is not defined"
                 )
-            lines.append(f"  {name}: {int(pairs.number[place, other]):+d}, {margin:.4f} m away")
+            number = int(pairs.number[place, other])
+            lines.append(f"  {name}: {f'{number:+d}' if number else '0'}, {margin:.4f} m away")
     compute = jax.jit(grasp_loops.signature, static_argnames="remove_empty")
     print(compute(scene.grasps, scene.skeleton, remove_empty=not keep_empty))
     print(*(lines or ["no grasp loops"]), sep="\n")
