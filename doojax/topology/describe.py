@@ -51,7 +51,9 @@ def read_scene(file: Path | str) -> Scene:
     file = Path(file)
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        content = {"attachments": {}} | _fields_of(content, "the scene", _FIELDS, optional={"attachments"})
+        content: dict[str, Any] = {"attachments": {}} | _fields_of(
+            content, "the scene", _FIELDS, optional={"attachments"}
+        )
         grippers, attachments = (
             {
                 name: Holder(**_fields_of(item, f"{kind} {name!r}", {"location", "path"}))
