@@ -37,6 +37,15 @@ class Obstacles(eqx.Module):
     active: Bool[Array, "*b M"]
 
 
+class Transition(eqx.Module):
+    """One predicted step: what an action is thought to do."""
+
+    state: RopeState  # itself predicted, but for the first of a plan
+    action: Float[Array, "*b G 3"]  # gripper displacements, metres
+    next_state: RopeState  # the prediction
+    uncertainty: Float[Array, "*b"]  # the dynamics model's second result, see doojax.models.protocols
+
+
 class Trajectory(eqx.Module):
     """T control periods: T + 1 states and the T actions between them."""
 
