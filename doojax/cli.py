@@ -36,6 +36,7 @@ COMMANDS: Commands = {
         "doojax.topology.describe:signature",
         "print the grasp loop signature of a described scene",
     ),
+    "view": ("doojax.viewer.app:view", "look at data sets, predictions and trials in a browser"),
     "bench": (BENCHMARKS, "measure speed"),
     "report": ("doojax.experiments.tables:report", "write the tables of README and docs from results/"),
 }
