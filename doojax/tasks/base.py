@@ -23,6 +23,26 @@ Phase = Literal["unconstrained", "constrained"]
 CANDIDATES = 32  # tried at once where a sample may be invalid
 
 
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned region, metres."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    def sample(self, key: Array) -> Float[Array, "3"]:
+        """A uniform point."""
+        return jax.random.uniform(key, (3,), minval=jnp.array(self.low), maxval=jnp.array(self.high))
+
+    def contains(self, points: Float[Array, "*b 3"]) -> Bool[Array, "*b"]:
+        """Is each point inside?"""
+        return ((points >= jnp.array(self.low)) & (points <= jnp.array(self.high))).all(-1)
+
+    def clip(self, points: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+        """The nearest point inside."""
+        return jnp.clip(points, jnp.array(self.low), jnp.array(self.high))
+
+
 @runtime_checkable
 class Task(Protocol):
     """A manipulation problem; `make_task` builds one by name."""
@@ -57,6 +77,20 @@ class Task(Protocol):
         """Gripper displacements (m): often ``previous`` again; zeros as ``previous`` ask for a fresh one."""
         ...
 
+    def valid_action(self, state: RopeState, action: Float[Array, "G 3"], phase: Phase) -> Bool[Array, ""]:
+        """May the grippers be sent there? An action longer than any that is sampled may not be taken."""
+        ...
+
+    @property
+    def workspace(self) -> Box:
+        """Where rope and grippers can be, and so every goal, metres."""
+        ...
+
+    @property
+    def goal_point(self) -> int:
+        """Index of the rope's point that is to reach the goal."""
+        ...
+
     def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
         """A point (m) for the task's rope point to reach, clear of the obstacles."""
         ...
@@ -71,26 +105,6 @@ class Task(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Box:
-    """An axis-aligned region, metres."""
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-
-    def sample(self, key: Array) -> Float[Array, "3"]:
-        """A uniform point."""
-        return jax.random.uniform(key, (3,), minval=jnp.array(self.low), maxval=jnp.array(self.high))
-
-    def contains(self, points: Float[Array, "*b 3"]) -> Bool[Array, "*b"]:
-        """Is each point inside?"""
-        return ((points >= jnp.array(self.low)) & (points <= jnp.array(self.high))).all(-1)
-
-    def clip(self, points: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
-        """The nearest point inside."""
-        return jnp.clip(points, jnp.array(self.low), jnp.array(self.high))
-
-
 def first_valid(
     key: Array, draw: Callable[[Array], Array], valid: Callable[[Array], Bool[Array, ""]], fallback: Array
 ) -> Array:
@@ -98,6 +112,11 @@ def first_valid(
     candidates = jax.vmap(draw)(jax.random.split(key, CANDIDATES))
     accepted = jax.vmap(valid)(candidates)
     return jnp.where(accepted.any(), candidates[jnp.argmax(accepted)], fallback)
+
+
+def short_enough(action: Float[Array, "G 3"], longest: float) -> Bool[Array, ""]:
+    """Is every gripper's displacement at most ``longest`` (m), but for rounding?"""
+    return (jnp.linalg.norm(action, axis=-1) <= (1 + 1e-5) * longest).all()
 
 
 def check_phase(phase: str) -> None:

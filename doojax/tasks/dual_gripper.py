@@ -6,13 +6,13 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.frames import quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
-from doojax.tasks.base import Box, Phase, check_phase, first_valid
+from doojax.tasks.base import Box, Phase, check_phase, first_valid, short_enough
 from doojax.types import Obstacles, RopeState, ShapeKind
 
 LINKS, LENGTH, RADIUS = 25, 0.8, 0.01
@@ -29,6 +29,7 @@ REACH = {  # of gripper targets
     "unconstrained": Box((0.4, -0.7, 0.5), (1.4, 0.7, 1.5)),
     "constrained": Box((0.5, -0.6, 0.6), (1.2, 0.6, 1.2)),
 }
+WORKSPACE = Box((0.35, -0.7, 0.55), (1.3, 0.7, 1.35))  # of a plan's states, as in the released code
 MAX_GAP = {
     "unconstrained": 0.70,
     "constrained": 0.78,
@@ -83,6 +84,8 @@ class DualGripper:
     name: str = "dual_gripper"
     grippers: int = 2
     goal_threshold: float = 0.05
+    goal_point: int = MIDPOINT
+    workspace: Box = WORKSPACE
     scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
 
     @property
@@ -147,9 +150,7 @@ class DualGripper:
             return length * jnp.stack(direction, axis=-1)
 
         def valid(action):
-            target = state.grippers + action
-            gap = jnp.linalg.norm(target[0] - target[1])
-            return REACH[phase].contains(target).all() & (gap < MAX_GAP[phase])
+            return self.valid_action(state, action, phase)
 
         inside = REACH[phase].clip(state.grippers)
         closing = 0.9 * (inside - inside.mean(0)) + inside.mean(0) - state.grippers
@@ -158,6 +159,15 @@ class DualGripper:
         )
         fresh = first_valid(draw_key, draw, valid, fallback=closing)
         return jnp.where(repeat & valid(previous), previous, fresh)
+
+    def valid_action(
+        self, state: RopeState, action: Float[Array, "2 3"], phase: Phase = "constrained"
+    ) -> Bool[Array, ""]:
+        """Moves of at most 0.1 m to targets in reach, no further apart than the phase allows?"""
+        target = state.grippers + action
+        gap = jnp.linalg.norm(target[0] - target[1])
+        inside = REACH[phase].contains(target).all()
+        return inside & (gap < MAX_GAP[phase]) & short_enough(action, MAX_ACTION)
 
     def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
         """A point for the midpoint, above the table, at least the threshold from every obstacle."""

@@ -6,19 +6,20 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.frames import quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
-from doojax.tasks.base import Box, Phase, check_phase, first_valid
+from doojax.tasks.base import Box, Phase, check_phase, first_valid, short_enough
 from doojax.types import Obstacles, RopeState, ShapeKind
 
 LINKS, RADIUS = 10, 0.02
 CUBE, CORNER_HEIGHT, WALL_HEIGHT = 0.125, 0.05, 0.15  # half sizes, m
 ARENA = 1.0  # m from the centre to a wall's middle
 EXTENT = Box((-1.2, -1.2, 0.0), (1.2, 1.2, 1.0))  # of gripper targets
+WORKSPACE = Box((-0.95, -0.95, RADIUS), (0.95, 0.95, RADIUS))  # within the walls
 MAX_ACTION = 0.15  # m
 REPEAT_PROBABILITY = 0.8
 BANK = 64
@@ -62,6 +63,8 @@ class RopeDragging:
     name: str = "rope_dragging"
     grippers: int = 1
     goal_threshold: float = 0.05
+    goal_point: int = 0
+    workspace: Box = WORKSPACE
     scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
 
     @property
@@ -115,11 +118,17 @@ class RopeDragging:
             return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
 
         def valid(action):
-            return EXTENT.contains(state.grippers + action).all()
+            return self.valid_action(state, action, phase)
 
         towards_centre = EXTENT.clip(state.grippers) - state.grippers
         fresh = first_valid(draw_key, draw, valid, fallback=towards_centre)
         return jnp.where(repeat & valid(previous), previous, fresh)
+
+    def valid_action(
+        self, state: RopeState, action: Float[Array, "1 3"], phase: Phase = "constrained"
+    ) -> Bool[Array, ""]:
+        """Is the action at most 0.15 m long, and its target within 1.2 m of the arena's centre lines?"""
+        return EXTENT.contains(state.grippers + action).all() & short_enough(action, MAX_ACTION)
 
     def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
         """A point for the tail, in +-0.7 m, at least twice the threshold from every obstacle."""

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.layout import Observation, clearance, stretch
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, obstacles_at, parked_poses
 from doojax.simulation.state import SimState
-from doojax.tasks.base import Box, Phase, check_phase, first_valid
+from doojax.tasks.base import Box, Phase, check_phase, first_valid, short_enough
 from doojax.types import Obstacles, RopeState, ShapeKind, Trajectory
 
 LINKS, PITCH, RADIUS, HEIGHT = 5, 0.05, 0.01, 0.05
@@ -142,6 +142,8 @@ class Toy:
     name: str = "toy"
     grippers: int = 1
     goal_threshold: float = 0.05
+    goal_point: int = 0
+    workspace: Box = REACH
     scene: Scene = field(default_factory=default_scene)
 
     @property
@@ -168,11 +170,17 @@ class Toy:
             return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
 
         def valid(action):
-            planar = (state.grippers + action).at[:, 2].set(HEIGHT)
-            return REACH.contains(planar).all()
+            return self.valid_action(state, action, phase)
 
         fresh = first_valid(draw_key, draw, valid, fallback=REACH.clip(state.grippers) - state.grippers)
         return jnp.where(repeat & valid(previous), previous, fresh)
+
+    def valid_action(
+        self, state: RopeState, action: Float[Array, "1 3"], phase: Phase = "constrained"
+    ) -> Bool[Array, ""]:
+        """Is the action at most 0.1 m long, and its target in reach?"""
+        planar = (state.grippers + action).at[:, 2].set(HEIGHT)
+        return REACH.contains(planar).all() & short_enough(action, MAX_ACTION)
 
     def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
         """A point in reach, at least the threshold from the wall."""

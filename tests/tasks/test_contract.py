@@ -82,3 +82,23 @@ def test_actions_repeat_with_probability_four_fifths(task, collected):
 def test_unknown_names_are_refused_with_the_list():
     with pytest.raises(ValueError, match="unknown task 'knots', expected one of rope_dragging, dual"):
         make_task("knots")
+
+
+def test_goals_and_their_point_are_where_the_rope_can_be(task):
+    simulator = task.simulator("mujoco")
+    obstacles = simulator.obstacles(simulator.reset(jax.random.key(0)))
+    goals = jax.vmap(task.sample_goal, (0, None))(jax.random.split(jax.random.key(1), 64), obstacles)
+    assert bool(task.workspace.contains(goals).all())
+    state = simulator.observe(simulator.reset(jax.random.key(0)))
+    assert float(task.goal_distance(state, state.points[task.goal_point])) == 0.0
+
+
+def test_sampled_actions_are_valid_and_much_longer_ones_are_not(task, collected):
+    _, _, seen, phase = collected
+    states = jax.tree.map(lambda leaf: leaf[:, 0], seen.states)
+    keys, previous = jax.random.split(jax.random.key(3), BATCH), jnp.zeros((task.grippers, 3))
+    actions = jax.vmap(lambda key, state: task.sample_action(key, state, previous, phase))(keys, states)
+    valid = jax.vmap(lambda state, action: task.valid_action(state, action, phase))
+    assert bool(valid(states, actions).all())
+    long = 0.2 * actions / jnp.linalg.norm(actions, axis=-1, keepdims=True)
+    assert not bool(valid(states, long).any())
