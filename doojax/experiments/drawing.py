@@ -7,7 +7,7 @@ Names are paths: "plan/tree" lies below "plan". Lengths are metres, in the world
 are (w, x, y, z); a colour is (red, green, blue) from 0 to 255.
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -18,6 +18,7 @@ Colour = tuple[int, int, int]
 Colours = UInt8[np.ndarray, "K 3"]
 
 
+@runtime_checkable
 class Drawing(Protocol):
     """Shows named things. Drawing a name again replaces what it showed."""
 

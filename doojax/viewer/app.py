@@ -4,7 +4,7 @@ import ipaddress
 import threading
 import warnings
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import tyro
 from rich.console import Console
@@ -20,6 +20,7 @@ from doojax.viewer.trial_page import TrialPage
 MOST_ITEMS = 2000  # in the page's list
 
 
+@runtime_checkable
 class Content(Protocol):
     """What a page shows."""
 
