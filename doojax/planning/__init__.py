@@ -1,0 +1,17 @@
+"""Planning with any dynamics where a reliability allows it: doojax.planning.rrt and what is around it."""
+
+from doojax.planning.goals import Goal as Goal
+from doojax.planning.goals import all_of as all_of
+from doojax.planning.goals import gripper_goal as gripper_goal
+from doojax.planning.goals import point_goal as point_goal
+from doojax.planning.rrt import HostDynamics as HostDynamics
+from doojax.planning.rrt import Rrt as Rrt
+from doojax.planning.rrt import RrtSettings as RrtSettings
+from doojax.planning.rrt import search as search
+from doojax.planning.simulated import simulated as simulated
+from doojax.planning.simulated import simulated_start as simulated_start
+from doojax.planning.tree import Plan as Plan
+from doojax.planning.tree import Problem as Problem
+from doojax.planning.tree import Tree as Tree
+from doojax.planning.tree import check_problem as check_problem
+from doojax.planning.tree import plan_of as plan_of

@@ -1,0 +1,275 @@
+"""Kinodynamic RRT that grows many branches at once (LaValle and Kuffner 2001; thesis section 2.3.5).
+
+A tree lives in arrays of a fixed size: slot 0 is the start, and every attempted extension takes the next
+slot, whether it was accepted or not. An expansion is three calls, each for all lanes of all problems:
+propose (sample, nearest node, action), propagate (the dynamics), insert (the constraint, the goal). The
+middle one may run outside of JAX, so that a simulator serves as well as a learned model.
+
+A lane carries one action along for several steps, as the thesis's planner does, until its duration is over
+or a step is rejected; then it starts anew at the node nearest to a fresh sample. Every step is an extension,
+and every budget counts extensions.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from doojax.models.protocols import Dynamics, Reliability
+from doojax.planning.goals import bodies_of
+from doojax.planning.metric import Sampler, nearest, rope_sample
+from doojax.planning.tree import Problem, Tree
+from doojax.tasks.base import Task
+from doojax.types import Obstacles, RopeState
+
+
+@dataclass(frozen=True)
+class RrtSettings:
+    """How a tree is grown."""
+
+    lanes: int = 32  # extensions tried at once
+    extensions: int = 8192  # attempts before the search is given up
+    goal_bias: float = 0.3  # probability that a lane heads for the goal
+    duration: int = 20  # an action is held for up to this many steps, uniformly
+    candidates: int = 8  # actions drawn for a lane; the one that best moves the grippers towards the sample
+    random_accept: float = 0.0  # probability that a rejected extension is accepted nevertheless
+    stuck_after: int = 32  # attempts without a single success after which the start counts as stuck
+    goal_margin: float = 0.6  # of the goal's tolerance: a plan is to end so near, because execution errs
+
+    def __post_init__(self):
+        """Refuse what plans nothing."""
+        for name in ("lanes", "extensions", "duration", "candidates", "stuck_after"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected at least 1")
+        for name in ("goal_bias", "random_accept", "goal_margin"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to 1")
+
+    @property
+    def expansions(self) -> int:
+        """Calls after which the budget is spent."""
+        return -(-self.extensions // self.lanes)
+
+
+class Lanes(eqx.Module):
+    """What each of L lanes is about to try."""
+
+    node: Int[Array, "*b L"]  # slot to extend from
+    action: Float[Array, "*b L G 3"]
+    remaining: Int[Array, "*b L"]  # steps for which the action is still to be held; 0 for a lane that is free
+    lucky: Bool[Array, "*b L"]  # accepted whatever the score
+
+
+@runtime_checkable
+class HostDynamics(Protocol):
+    """Dynamics of many elements that run outside of jit, such as a simulator in C."""
+
+    def many(
+        self, obstacles: Obstacles, states: RopeState, actions: Float[Array, "R L G 3"]
+    ) -> tuple[RopeState, Float[Array, "R L"]]:
+        """What `Dynamics` gives, for L states of each of R problems."""
+        ...
+
+
+class Rrt(eqx.Module):
+    """A planner for one task with one model."""
+
+    dynamics: Dynamics | HostDynamics
+    reliability: Reliability
+    task: Task = eqx.field(static=True)
+    settings: RrtSettings = eqx.field(static=True, default=RrtSettings())
+    sampler: Sampler = eqx.field(static=True, default=rope_sample)
+
+
+def search(planner: Rrt, problem: Problem) -> Tree:
+    """Grow a tree for each of R problems, side by side, until it is done or the budget is spent.
+
+    The trees of a batch do not depend on one another.
+    """
+    task, settings = planner.task, planner.settings
+    tree, lanes = _start(task, settings, problem)
+    for expansion in range(settings.expansions):
+        first = jnp.asarray(1 + expansion * settings.lanes, dtype=jnp.int32)
+        lanes, parents = _propose(task, settings, planner.sampler, problem, tree, lanes, first)
+        after, uncertainty = propagate(planner.dynamics, problem.obstacles, parents, lanes.action)
+        tried = (problem, lanes, parents, after, uncertainty)
+        tree, lanes = _insert((settings, planner.reliability, first, *tried), tree)
+        if np.asarray(tree.solved | tree.stuck).all():
+            break
+    return tree
+
+
+def propagate(
+    dynamics: Dynamics | HostDynamics, obstacles: Obstacles, states: RopeState, actions: Array
+) -> tuple[RopeState, Array]:
+    """What the dynamics give for L states of each of R problems."""
+    if isinstance(dynamics, HostDynamics):
+        return dynamics.many(obstacles, states, actions)
+    return _propagate_many(dynamics, obstacles, states, actions)
+
+
+@eqx.filter_jit
+def _start(task: Task, settings: RrtSettings, problem: Problem) -> tuple[Tree, Lanes]:
+    return jax.vmap(lambda one: _start_one(task, settings, one))(problem)
+
+
+@eqx.filter_jit
+def _propose(
+    task: Task,
+    settings: RrtSettings,
+    sampler: Sampler,
+    problem: Problem,
+    tree: Tree,
+    lanes: Lanes,
+    first: Int[Array, ""],
+) -> tuple[Lanes, RopeState]:
+    def one(problem, tree, lanes):
+        return _propose_one(task, settings, sampler, problem, tree, lanes, first)
+
+    return jax.vmap(one)(problem, tree, lanes)
+
+
+@eqx.filter_jit
+def _propagate_many(dynamics, obstacles, states, actions):
+    over_lanes = jax.vmap(dynamics, in_axes=(None, 0, 0))
+    return jax.vmap(over_lanes)(obstacles, states, actions)
+
+
+@eqx.filter_jit(donate="all-except-first")
+def _insert(arguments: tuple, tree: Tree) -> tuple[Tree, Lanes]:
+    settings, reliability, first, *batched = arguments
+    return jax.vmap(lambda *one: _insert_one(settings, reliability, first, *one))(tree, *batched)
+
+
+def _start_one(task: Task, settings: RrtSettings, problem: Problem) -> tuple[Tree, Lanes]:
+    start = problem.start
+    capacity = 1 + settings.expansions * settings.lanes
+    distance = problem.goal.distance(start)
+    tree = Tree(
+        state=jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (capacity, *leaf.shape)), start),
+        action=jnp.zeros((capacity, task.grippers, 3)),
+        parent=jnp.full(capacity, -1, dtype=jnp.int32),
+        accepted=jnp.arange(capacity) == 0,
+        score=jnp.full(capacity, jnp.nan, dtype=jnp.float32),
+        goal_distance=jnp.full(capacity, distance),
+        used=jnp.array(1, dtype=jnp.int32),
+        solved=distance <= settings.goal_margin * problem.goal.tolerance,
+        stuck=jnp.array(False),
+    )
+    lanes = Lanes(
+        node=jnp.zeros(settings.lanes, dtype=jnp.int32),
+        action=jnp.zeros((settings.lanes, task.grippers, 3)),
+        remaining=jnp.zeros(settings.lanes, dtype=jnp.int32),
+        lucky=jnp.zeros(settings.lanes, dtype=bool),
+    )
+    return tree, lanes
+
+
+def _propose_one(
+    task: Task,
+    settings: RrtSettings,
+    sampler: Sampler,
+    problem: Problem,
+    tree: Tree,
+    lanes: Lanes,
+    first: Int[Array, ""],
+) -> tuple[Lanes, RopeState]:
+    """What every lane tries next, and the states that it starts from."""
+    key = jax.random.fold_in(problem.key, first)
+    draw_key, sample_key, action_key = jax.random.split(key, 3)
+    draws = jax.random.uniform(draw_key, (4, settings.lanes))
+
+    # The shape of any state of the tree: where that was rejected, its parent's.
+    slots = jnp.minimum(draws[0] * first, first - 1).astype(jnp.int32)
+    slots = jnp.where(tree.accepted[slots], slots, tree.parent[slots])
+    towards_goal = draws[1] < settings.goal_bias
+    samples = jax.vmap(sampler, in_axes=(0, None, 0, None, 0))(
+        jax.random.split(sample_key, settings.lanes),
+        task.workspace,
+        bodies_of(_at(tree.state, slots)),
+        problem.goal,
+        towards_goal,
+    )
+    held = (lanes.remaining > 0) & jax.vmap(task.valid_action, in_axes=(0, 0, None))(
+        _at(tree.state, lanes.node), lanes.action, "constrained"
+    )
+    node = jnp.where(held, lanes.node, nearest(samples, tree.state, tree.accepted, first))
+    parents = _at(tree.state, node)
+    fresh = jax.vmap(lambda *arguments: _directed_action(task, settings.candidates, *arguments))(
+        jax.random.split(action_key, settings.lanes), parents, samples
+    )
+    duration = 1 + jnp.minimum(draws[2] * settings.duration, settings.duration - 1).astype(jnp.int32)
+    proposed = Lanes(
+        node=node,
+        action=jnp.where(held[:, None, None], lanes.action, fresh),
+        remaining=jnp.where(held, lanes.remaining, duration),
+        lucky=draws[3] < settings.random_accept,
+    )
+    return proposed, parents
+
+
+def _directed_action(
+    task: Task, candidates: int, key: Array, state: RopeState, sample: Float[Array, "NG 3"]
+) -> Float[Array, "G 3"]:
+    """Of some random actions the one that brings the grippers nearest to the sample's."""
+    nothing = jnp.zeros((task.grippers, 3))
+    actions = jax.vmap(task.sample_action, in_axes=(0, None, None, None))(
+        jax.random.split(key, candidates), state, nothing, "constrained"
+    )
+    missing = sample[-task.grippers :] - state.grippers - actions
+    return actions[jnp.argmin((missing**2).sum((-1, -2)))]
+
+
+def _insert_one(
+    settings: RrtSettings,
+    reliability: Reliability,
+    first: Int[Array, ""],
+    tree: Tree,
+    problem: Problem,
+    lanes: Lanes,
+    parents: RopeState,
+    after: RopeState,
+    uncertainty: Float[Array, "L"],
+) -> tuple[Tree, Lanes]:
+    """The tree with what was tried, and the lanes where they got to. A tree that is done stays as it is."""
+    judge = jax.vmap(reliability, in_axes=(None, 0, 0, 0, 0))
+    score = judge(problem.obstacles, parents, lanes.action, after, uncertainty)
+    sound = jnp.isfinite(bodies_of(after)).all((-1, -2))
+    accepted = sound & ((score > reliability.threshold) | lanes.lucky)
+    distance = jax.vmap(problem.goal.distance)(after)
+    done = tree.solved | tree.stuck
+    accepted &= ~done
+
+    def write(into, values):
+        return jax.lax.dynamic_update_slice_in_dim(into, values.astype(into.dtype), first, axis=0)
+
+    near = (accepted & (distance <= settings.goal_margin * problem.goal.tolerance)).any()
+    used = jnp.where(done, tree.used, first + settings.lanes)
+    everything = write(tree.accepted, accepted)
+    tried_enough = used > settings.stuck_after
+    grown = Tree(
+        state=jax.tree.map(write, tree.state, after),
+        action=write(tree.action, lanes.action),
+        parent=write(tree.parent, lanes.node),
+        accepted=everything,
+        score=write(tree.score, score),
+        goal_distance=write(tree.goal_distance, distance),
+        used=used,
+        solved=tree.solved | near,
+        stuck=tree.stuck | (tried_enough & ~everything[1:].any() & ~tree.solved),
+    )
+    moved = Lanes(
+        node=first + jnp.arange(settings.lanes),
+        action=lanes.action,
+        remaining=jnp.where(accepted, lanes.remaining - 1, 0),
+        lucky=lanes.lucky,
+    )
+    return grown, moved
+
+
+def _at(states: RopeState, slots: Int[Array, "L"]) -> RopeState:
+    return jax.tree.map(lambda leaf: leaf[slots], states)

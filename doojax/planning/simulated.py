@@ -1,0 +1,84 @@
+"""A simulator as dynamics: planning with the truth, which says what could be solved at all."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from doojax.models.protocols import Dynamics
+from doojax.planning.rrt import HostDynamics
+from doojax.simulation.scenes import parked_poses
+from doojax.simulation.state import SimState, Simulator
+from doojax.types import Obstacles, RopeState
+
+
+class SimulatedState(RopeState):
+    """A rope with all that its simulation needs to go on."""
+
+    simulation: SimState
+
+
+class Simulated(eqx.Module):
+    """One step of a simulator that is pure, as `Dynamics` of `SimulatedState`; obstacles are in the state."""
+
+    simulator: Simulator
+
+    def __call__(
+        self, obstacles: Obstacles, state: RopeState, action: Float[Array, "G 3"]
+    ) -> tuple[SimulatedState, Float[Array, ""]]:
+        """The next state, NaN where the simulation broke down; no uncertainty."""
+        after = self.simulator.step(_simulation(state), action)
+        return _seen(after, self.simulator.observe(after)), jnp.zeros(())
+
+
+class HostSimulated:
+    """The same for a simulator that runs outside of jit, in batches."""
+
+    def __init__(self, simulator: Simulator):
+        """Wrap ``simulator``."""
+        self._simulator = simulator
+
+    def many(
+        self, obstacles: Obstacles, states: RopeState, actions: Float[Array, "R L G 3"]
+    ) -> tuple[SimulatedState, Float[Array, "R L"]]:
+        """The next states; see `Simulated`."""
+        shape = actions.shape[:2]
+        flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), _simulation(states))
+        last, trajectory = self._simulator.rollout(flat, actions.reshape(-1, 1, *actions.shape[2:]))
+        rope = jax.tree.map(lambda leaf: leaf[:, -1], trajectory.states)
+        after = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), _seen(last, rope))
+        return after, jnp.zeros(shape)
+
+
+def simulated(simulator: Simulator) -> Dynamics | HostDynamics:
+    """The dynamics of any simulator: inside jit if it is a pytree, else in batches outside."""
+    return Simulated(simulator) if isinstance(simulator, eqx.Module) else HostSimulated(simulator)
+
+
+def simulated_start(
+    simulator: Simulator, states: SimState, *, without_obstacles: bool = False
+) -> SimulatedState:
+    """A batch of states to plan from; without obstacles the dynamics are the unconstrained ones, exact."""
+    seen = simulator.observations(states).rope
+    if without_obstacles:
+        position, quaternion = parked_poses(states.obstacle_position.shape[-2])
+        states = eqx.tree_at(
+            lambda s: (s.obstacle_position, s.obstacle_quaternion),
+            states,
+            (
+                jnp.broadcast_to(position, states.obstacle_position.shape),
+                jnp.broadcast_to(quaternion, states.obstacle_quaternion.shape),
+            ),
+        )
+    return SimulatedState(points=seen.points, grippers=seen.grippers, simulation=states)
+
+
+def _simulation(state: RopeState) -> SimState:
+    if not isinstance(state, SimulatedState):
+        raise ValueError("planning with a simulator begins at simulated_start(...), got a plain RopeState")
+    return state.simulation
+
+
+def _seen(after: SimState, rope: RopeState) -> SimulatedState:
+    points = jnp.where((after.faults == 0)[..., None, None], rope.points, jnp.nan)
+    return SimulatedState(points=points, grippers=rope.grippers, simulation=after)

@@ -1,0 +1,96 @@
+"""Planning problems, the trees that a search grows for them, and the plans that trees hold."""
+
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from doojax.geometry.sdf import signed_distance
+from doojax.planning.goals import Goal, bodies_of
+from doojax.tasks.base import Task
+from doojax.types import Obstacles, RopeState
+
+Status = Literal["solved", "exhausted", "stuck"]
+
+
+class Problem(eqx.Module):
+    """From where to where among what; the first axis of every leaf counts problems in a batch."""
+
+    obstacles: Obstacles
+    start: RopeState  # or a subclass that carries along what the dynamics need
+    goal: Goal
+    key: Array
+
+
+class Tree(eqx.Module):
+    """Everything that was tried; C slots, of which the first ``used`` are filled."""
+
+    state: RopeState  # [C]
+    action: Float[Array, "*b C G 3"]  # that led here, metres
+    parent: Int[Array, "*b C"]  # -1 for the start
+    accepted: Bool[Array, "*b C"]
+    score: Float[Array, "*b C"]  # as the reliability gave it; NaN for the start
+    goal_distance: Float[Array, "*b C"]  # m
+    used: Int[Array, "*b"]
+    solved: Bool[Array, "*b"]
+    stuck: Bool[Array, "*b"]  # nothing that was tried from the start was accepted
+
+
+class Plan(NamedTuple):
+    """The way through a tree to the node nearest to the goal."""
+
+    status: Status
+    nodes: Int[np.ndarray, "m"]  # slots from the start on
+    actions: Float[np.ndarray, "t G 3"]  # m - 1 displacements, metres
+    states: RopeState  # predicted, [m]
+    goal_distance: float  # m, predicted at the end
+    extensions: int  # tried
+    accepted: int
+
+
+def check_problem(task: Task, problem: Problem) -> None:
+    """Refuse one problem that nobody could solve.
+
+    Raises:
+        ValueError: the goal lies outside of the task's workspace, or the start inside an obstacle.
+    """
+    for target in np.asarray(problem.goal.targets):
+        if not bool(task.workspace.contains(jnp.asarray(target))):
+            place = [round(float(value), 3) for value in target]
+            raise ValueError(
+                f"the goal {place} lies outside of the workspace of {task.name}: "
+                f"expected a point between {task.workspace.low} and {task.workspace.high} (m)"
+            )
+    distance = np.asarray(signed_distance(problem.obstacles, bodies_of(problem.start)))
+    if not (distance > 0).all():
+        body = int(np.argmin(distance))
+        points = problem.start.points.shape[0]
+        name = f"point {body} of the rope" if body < points else f"gripper {body - points}"
+        raise ValueError(
+            f"the scene is in collision at the start: {name} is {-100 * distance[body]:.1f} cm inside an "
+            "obstacle; move the rope or the obstacle"
+        )
+
+
+def plan_of(tree: Tree) -> Plan:
+    """The plan that one problem's tree holds: to the accepted node nearest to the goal."""
+    host = jax.tree.map(np.asarray, tree)
+    used = int(host.used)
+    best = int(np.argmin(np.where(host.accepted[:used], host.goal_distance[:used], np.inf)))
+    nodes = [best]
+    while host.parent[nodes[-1]] >= 0:
+        nodes.append(int(host.parent[nodes[-1]]))
+    nodes = np.array(nodes[::-1])
+    accepted = int(host.accepted[1:used].sum())
+    return Plan(
+        status="solved" if host.solved else "stuck" if host.stuck else "exhausted",
+        nodes=nodes,
+        actions=host.action[nodes[1:]],
+        states=jax.tree.map(lambda leaf: leaf[nodes], host.state),
+        goal_distance=float(host.goal_distance[best]),
+        extensions=used - 1,
+        accepted=accepted,
+    )

@@ -1,0 +1,71 @@
+"""Made problems on the toy task, and models of it that know no obstacle."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from doojax.geometry.frames import quaternion_from_yaw
+from doojax.planning import Problem, point_goal
+from doojax.tasks import make_task
+from doojax.tasks.toy import HEIGHT, PITCH, straight
+from doojax.types import Obstacles, RopeState, ShapeKind
+
+TOY = make_task("toy")
+
+
+class Towed(eqx.Module):
+    """The gripper gets where it is sent and the rope follows."""
+
+    def __call__(self, obstacles, state, action):
+        gripper = state.grippers[0] + action[0]
+
+        def pull(leader, point):
+            gap = point - leader
+            distance = jnp.maximum(jnp.linalg.norm(gap), 1e-9)
+            follower = leader + gap * jnp.minimum(1.0, PITCH / distance)
+            return follower, follower
+
+        _, behind = jax.lax.scan(pull, gripper, state.points[:-1], reverse=True)
+        return RopeState(jnp.concatenate([behind, gripper[None]]), gripper[None]), jnp.zeros(())
+
+
+class Never(eqx.Module):
+    """Accepts nothing."""
+
+    threshold: float = 0.5
+
+    def __call__(self, obstacles, state, action, next_state, uncertainty):
+        return jnp.zeros(())
+
+
+def walls(*, centre=(0.15, -0.1), half=(0.02, 0.3), yaw=0.0, active=True) -> Obstacles:
+    """One wall, anywhere in the plane."""
+    return Obstacles(
+        kind=jnp.array([ShapeKind.BOX]),
+        centre=jnp.array([[*centre, HEIGHT]]),
+        quaternion=quaternion_from_yaw(jnp.array([yaw])),
+        half_size=jnp.array([[*half, 0.1]]),
+        active=jnp.array([active]),
+    )
+
+
+def problem(*, start=(-0.3, 0.0), angle=0.0, goal=(-0.2, 0.2), obstacles=None, seed=0) -> Problem:
+    """One problem; ``angle`` is where the gripper lies as seen from the tail."""
+    points = straight(jnp.array([*start, HEIGHT]), jnp.array(angle))
+    return Problem(
+        obstacles=walls() if obstacles is None else obstacles,
+        start=RopeState(points, points[-1:]),
+        goal=point_goal(TOY, jnp.array([*goal, HEIGHT])),
+        key=jax.random.key(seed),
+    )
+
+
+def batch(*problems: Problem) -> Problem:
+    """Problems side by side."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
+
+
+def element(tree, index: int):
+    """One of a batch, on the host."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf[index]), tree)
