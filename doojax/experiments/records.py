@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from doojax.simulation.scenes import Scene
 from doojax.types import Obstacles
 
 VERSION = 1
@@ -34,6 +35,17 @@ class Look:
     rope_end: float = 0.0  # how far the rope goes on beyond its first and its last point
     gripper_radius: float = 0.02
     floor: float | None = 0.0  # its height; None where there is none
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Look":
+        """The sizes of what is in a scene."""
+        half_link = scene.rope.length / scene.rope_model.links / 2
+        return cls(
+            rope_radius=scene.rope.radius,
+            rope_end=0.0 if scene.rope_model.kind == "point_masses" else half_link,
+            gripper_radius=max(gripper.radius for gripper in scene.grippers),
+            floor=0.0 if scene.floor else None,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +173,7 @@ class TrialRecord:
     reached: bool
     period: float = 1.0  # s between two states
     about: Mapping[str, Any] = field(default_factory=dict)  # anything that JSON can hold
+    replay: Mapping[str, np.ndarray] = field(default_factory=dict)  # first state and actions
 
     def __post_init__(self):
         """Refuse arrays that do not fit together."""

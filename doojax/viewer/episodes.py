@@ -66,14 +66,7 @@ def look_of(config: Mapping[str, Any]) -> tuple[Look, float]:
     if config.get("task") not in TASKS:
         return UNKNOWN_LOOK, 1.0
     scene = make_task(config["task"]).scene
-    half_link = scene.rope.length / scene.rope_model.links / 2
-    look = Look(
-        rope_radius=scene.rope.radius,
-        rope_end=0.0 if scene.rope_model.kind == "point_masses" else half_link,
-        gripper_radius=max(gripper.radius for gripper in scene.grippers),
-        floor=0.0 if scene.floor else None,
-    )
-    return look, scene.control_period
+    return Look.of(scene), scene.control_period
 
 
 def require_rope(dataset: Dataset) -> None:

@@ -1,0 +1,322 @@
+"""Trials: plan, execute in the simulator, recover where the planner is stuck, until the goal or the end.
+
+Trials of one method run side by side, as one batch of arrays, and do not depend on one another. What ends a
+trial is counted in searches and actions, so that results do not depend on the machine; the seconds that
+planning took are noted beside.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from doojax.experiments.records import Event, EventKind, Look, PlanRecord, TrialRecord
+from doojax.models.protocols import Dynamics, Recovery, Reliability
+from doojax.planning import Goal, HostDynamics, Plan, Problem, Rrt, RrtSettings, Tree, plan_of, search
+from doojax.planning.recovery import recovery_action
+from doojax.simulation.state import Fault, SimState, Simulator
+from doojax.tasks.base import Task
+from doojax.types import Obstacles, RopeState
+
+REACHED = "goal reached"
+STUCK = "stuck, and there is no recovery"
+BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
+ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
+REPLAYED = ("qpos", "qvel", "obstacle_position", "obstacle_quaternion", "holding")
+
+
+def observed(simulator: Simulator, states: SimState) -> RopeState:
+    """What a planner sees of a batch of states: rope and grippers."""
+    return simulator.observations(states).rope
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """With what a trial is planned."""
+
+    name: str
+    dynamics: Dynamics | HostDynamics
+    reliability: Reliability
+    recovery: Recovery | None = None  # None: a trial that is stuck is given up
+    begin: Callable[[Simulator, SimState], RopeState] = observed  # the state that a plan starts from
+
+
+@dataclass(frozen=True)
+class TrialSettings:
+    """When a trial ends."""
+
+    searches: int = 10
+    actions: int = 200  # executed control periods, recoveries included
+    replan_distance: float | None = None  # m, RMS over points, from the plan: beyond it, execution stops
+
+    def __post_init__(self):
+        """Refuse what tries nothing."""
+        for name in ("searches", "actions"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected at least 1")
+        if self.replan_distance is not None and not self.replan_distance > 0:
+            raise ValueError(f"replan_distance is {self.replan_distance}, expected a positive length (m)")
+
+
+class Trials(NamedTuple):
+    """R trials that run side by side."""
+
+    starts: SimState
+    goals: Goal
+    seeds: Sequence[int]  # of everything that is random in each trial
+
+
+class Moves(NamedTuple):
+    """Actions to execute, and the points (m) that were predicted after each, if they were."""
+
+    actions: Float[np.ndarray, "t G 3"]
+    predicted: Float[np.ndarray, "t N 3"] | None = None
+
+
+@dataclass
+class Log:
+    """What happened in one trial so far."""
+
+    points: list[np.ndarray]
+    grippers: list[np.ndarray]
+    missing: float = np.inf  # m to the goal
+    actions: list[np.ndarray] = field(default_factory=list)
+    plans: list[PlanRecord] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    recoveries: int = 0
+    extensions: int = 0
+    plan_s: float = 0.0
+    end: str | None = None
+
+    def note(self, kind: EventKind, text: str) -> None:
+        """Something happened."""
+        self.events.append(Event(len(self.actions), kind, text))
+
+    def stop(self, why: str) -> None:
+        """The trial is over."""
+        self.end = why
+        self.note("end", why)
+
+
+def run_trials(
+    task: Task,
+    simulator: Simulator,
+    method: Method,
+    planning: RrtSettings,
+    settings: TrialSettings,
+    trials: Trials,
+    *,
+    keep_trees: bool = False,
+) -> list[TrialRecord]:
+    """Run R trials side by side.
+
+    Args:
+        task: what is to be done.
+        simulator: where it is done.
+        method: with what it is planned.
+        planning: how a tree is grown.
+        settings: when a trial ends.
+        trials: from where to where.
+        keep_trees: record all that the searches tried, not only the plans.
+
+    Returns:
+        R records; their ``replay`` holds what `replay` needs, their ``about`` counts and seconds.
+    """
+    planner = Rrt(method.dynamics, method.reliability, task, planning)
+    states, goals = trials.starts, trials.goals
+    obstacles = jax.vmap(simulator.obstacles)(states)
+    keys = jax.vmap(jax.random.key)(jnp.asarray(trials.seeds))
+    rope = observed(simulator, states)
+    logs = [Log([p], [g]) for p, g in zip(np.asarray(rope.points), np.asarray(rope.grippers), strict=True)]
+    for turn in range(settings.searches + 1):
+        _judge(logs, goals, rope, turn, settings)
+        running = np.array([log.end is None for log in logs])
+        if not running.any():
+            break
+        search_keys, recovery_keys = _turn_keys(keys, jnp.asarray(turn))
+        begun = time.perf_counter()
+        aims = eqx.tree_at(lambda g: g.tolerance, goals, jnp.where(running, goals.tolerance, ANYWHERE))
+        problem = Problem(obstacles, method.begin(simulator, states), aims, search_keys)
+        trees = jax.tree.map(np.asarray, search(planner, problem))
+        seconds = (time.perf_counter() - begun) / running.sum()
+
+        moves = [Moves(np.zeros((0, task.grippers, 3), np.float32))] * len(logs)
+        for i in np.flatnonzero(running).tolist():
+            plan = _noted_plan(logs[i], _element(trees, i), seconds, keep_trees)
+            if plan.status != "stuck":
+                moves[i] = Moves(plan.actions, np.asarray(plan.states.points)[1:])
+                logs[i].note("execute", f"{len(plan.actions)} actions")
+            elif method.recovery is None:
+                logs[i].stop(STUCK)
+            else:
+                here = _element((obstacles, rope), i)
+                action = recovery_action(task, method.recovery, *here, key=recovery_keys[i])
+                moves[i] = Moves(np.asarray(action)[None])
+                logs[i].recoveries += 1
+                logs[i].note("recover", "nothing that was tried is reliable")
+        states, rope = _execute(simulator, states, rope, logs, moves, settings)
+    return [
+        _record(task, method, log, trials.seeds[i], *_element((obstacles, trials.starts, goals), i))
+        for i, log in enumerate(logs)
+    ]
+
+
+def record_plan(tree: Tree, plan: Plan, step: int, *, whole: bool) -> PlanRecord:
+    """A search made at state ``step``, for the viewer: all that was tried, or only the nodes of the plan."""
+    nodes = np.arange(int(tree.used)) if whole else plan.nodes
+    path = plan.nodes if whole else np.arange(len(nodes))
+    return PlanRecord(
+        step=step,
+        parent=np.asarray(tree.parent[nodes] if whole else path - 1),
+        points=np.asarray(tree.state.points[nodes]),
+        grippers=np.asarray(tree.state.grippers[nodes]),
+        accepted=np.asarray(tree.accepted[nodes]),
+        path=path,
+        score=np.asarray(tree.score[nodes]),
+    )
+
+
+def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N 3"]:
+    """The rope's points (m) when a recorded trial's actions are executed again from its first state.
+
+    Raises:
+        ValueError: for a record that does not hold them.
+    """
+    if not record.replay:
+        raise ValueError(
+            "this trial cannot be executed again: its record holds no first state and no actions"
+        )
+    stored = {name: jnp.asarray(record.replay[name])[None] for name in REPLAYED}
+    states = SimState(**stored, faults=jnp.zeros(1, dtype=jnp.int32), model_fields={})
+    points = [np.asarray(observed(simulator, states).points[0])]
+    for action in record.replay["actions"]:
+        states, seen = simulator.rollout(states, jnp.asarray(action)[None, None])
+        points.append(np.asarray(seen.states.points[0, -1]))
+    return np.stack(points)
+
+
+@jax.jit
+def _turn_keys(keys: Array, turn: Int[Array, ""]) -> tuple[Array, Array]:
+    split = jax.vmap(lambda key: jax.random.split(jax.random.fold_in(key, turn)))(keys)
+    return split[:, 0], split[:, 1]
+
+
+@jax.jit
+def _distances(goals: Goal, ropes: RopeState) -> Float[Array, "R"]:
+    return jax.vmap(lambda goal, rope: goal.distance(rope))(goals, ropes)
+
+
+def _judge(logs: Sequence[Log], goals: Goal, rope: RopeState, turn: int, settings: TrialSettings) -> None:
+    """End the trials that are at their goal, or have nothing left to try."""
+    tolerances = np.asarray(goals.tolerance)
+    for log, missing, tolerance in zip(logs, np.asarray(_distances(goals, rope)), tolerances, strict=True):
+        log.missing = float(missing) if np.isfinite(missing) else log.missing
+        if log.end is not None:
+            continue
+        if missing <= tolerance:
+            log.stop(REACHED)
+        elif len(log.actions) >= settings.actions:
+            log.stop(f"{settings.actions} actions did not suffice")
+        elif turn >= settings.searches:
+            log.stop(f"{settings.searches} searches did not suffice")
+
+
+def _noted_plan(log: Log, tree: Tree, seconds: float, keep_trees: bool) -> Plan:
+    plan = plan_of(tree)
+    log.plan_s += seconds
+    log.extensions += plan.extensions
+    log.plans.append(record_plan(tree, plan, len(log.actions), whole=keep_trees))
+    log.note("plan", f"{plan.status}: {plan.accepted} of {plan.extensions} extensions accepted")
+    return plan
+
+
+def _execute(
+    simulator: Simulator,
+    states: SimState,
+    rope: RopeState,
+    logs: Sequence[Log],
+    moves: Sequence[Moves],
+    settings: TrialSettings,
+) -> tuple[SimState, RopeState]:
+    """Execute every trial's actions, one control period of all trials at a time."""
+    left = [len(move.actions) for move in moves]
+    for step in range(max(left)):
+        actions = np.zeros((len(logs), *moves[0].actions.shape[1:]), np.float32)
+        moving = np.zeros(len(logs), dtype=bool)
+        for i, log in enumerate(logs):
+            if log.end is None and step < left[i] and len(log.actions) < settings.actions:
+                actions[i], moving[i] = moves[i].actions[step], True
+        if not moving.any():
+            break
+        after, seen = simulator.rollout(states, jnp.asarray(actions)[:, None])
+        here = jax.tree.map(lambda leaf: leaf[:, -1], seen.states)
+        states, rope = _where(moving, (after, here), (states, rope))
+        points, grippers, faults = (np.asarray(x) for x in (here.points, here.grippers, seen.faults))
+        for i in np.flatnonzero(moving).tolist():
+            log, predicted = logs[i], moves[i].predicted
+            log.actions.append(actions[i])
+            log.points.append(points[i])
+            log.grippers.append(grippers[i])
+            if faults[i, -1] & BROKEN:
+                log.stop("the simulation became unstable")
+            elif predicted is not None and settings.replan_distance is not None:
+                off = float(np.sqrt(((points[i] - predicted[step]) ** 2).sum(-1).mean()))
+                if off > settings.replan_distance and step + 1 < left[i]:
+                    left[i] = 0
+                    log.note("replan", f"{100 * off:.1f} cm from where the plan had the rope")
+    return states, rope
+
+
+def _record(
+    task: Task, method: Method, log: Log, seed: int, obstacles: Obstacles, start: SimState, goal: Goal
+) -> TrialRecord:
+    targets, points = np.asarray(goal.targets), np.stack(log.points)
+    allowed = np.flatnonzero(np.asarray(goal.bodies)[0])
+    ends = np.concatenate([points[-1], log.grippers[-1]])[allowed]
+    nearest = int(allowed[np.argmin(np.nan_to_num(np.linalg.norm(ends - targets[0], axis=-1), nan=np.inf))])
+    actions = np.array(log.actions, np.float32).reshape(-1, task.grippers, 3)
+    about: dict[str, Any] = {
+        "end": log.end,
+        "final_error_m": log.missing,
+        "searches": len(log.plans),
+        "extensions": log.extensions,
+        "actions": len(log.actions),
+        "recovery_actions": log.recoveries,
+        "plan_s": round(log.plan_s, 3),
+        "more_targets": targets[1:].tolist(),
+    }
+    return TrialRecord(
+        task=task.name,
+        method=method.name,
+        seed=seed,
+        look=Look.of(task.scene),
+        obstacles=obstacles,
+        goal=targets[0],
+        goal_radius=float(goal.tolerance),
+        goal_point=min(nearest, points.shape[1] - 1),
+        points=points,
+        grippers=np.stack(log.grippers),
+        plans=tuple(log.plans),
+        events=tuple(log.events),
+        reached=log.end == REACHED,
+        period=task.scene.control_period,
+        about=about,
+        replay={"actions": actions, **{name: np.asarray(getattr(start, name)) for name in REPLAYED}},
+    )
+
+
+def _element(tree: Any, index: int) -> Any:
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def _where(mask: np.ndarray, yes: Any, no: Any) -> Any:
+    def choose(a, b):
+        return jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(choose, yes, no)
