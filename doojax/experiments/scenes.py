@@ -1,0 +1,162 @@
+"""Scene sets: the starts, obstacles and goals that all methods of a comparison share, in one file.
+
+How hard scenes are is set by a rule that looks at no method: an obstacle blocks the straight way of the
+task's rope point to its goal, yet some way leads there that is wide enough for the rope.
+"""
+
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from doojax.experiments.difficulty import difficulty
+from doojax.experiments.statistics import bootstrap
+from doojax.planning import Goal, point_goal
+from doojax.simulation.state import Fault, SimState
+from doojax.tasks import make_task
+from doojax.tasks.base import Task
+
+VERSION = 1  # raise it when scenes of the same seed become others
+FOLDER = Path(__file__).parent / "scene_sets"
+SCENES = 150
+DRAWN = 64  # scenes at once
+MOST_DRAWN = 40  # for each that is wanted
+RULE = "an obstacle blocks the straight way of the goal's point, yet a way as wide as the rope leads there"
+STATE = ("qpos", "qvel", "obstacle_position", "obstacle_quaternion", "holding")
+GOAL = ("targets", "bodies", "tolerance")
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSet:
+    """S scenes of one task."""
+
+    task: str
+    seed: int
+    starts: SimState  # [S]
+    goals: Goal  # [S]
+    sizes: dict[str, np.ndarray]  # [S], metres: see `difficulty`
+
+    def __len__(self) -> int:
+        """How many scenes there are."""
+        return len(self.starts.qpos)
+
+
+def scenes(task: str, /, *, count: int = SCENES, seed: int = 0, out: Path | None = None) -> None:
+    """Draw a set of scenes for trials, write it to a file and print how hard they are.
+
+    Args:
+        task: rope_dragging, dual_gripper or toy.
+        count: how many scenes.
+        seed: of everything that is random.
+        out: the file, ending in .npz; by default TASK.npz in this folder.
+
+    Raises:
+        ValueError: for an unknown task, a count below 1, a file of another kind, or if hard scenes are rare.
+    """
+    out = out or Path(f"{task}.npz")
+    drawn = draw_scenes(make_task(task), count, seed)
+    save_scenes(out, drawn)
+    table = Table("metres", "mean", "95 % interval", "least", "greatest", title=f"{count} scenes of {task}")
+    for name, values in drawn.sizes.items():
+        mean = bootstrap(values)
+        interval = f"{mean.low:.3f} to {mean.high:.3f}"
+        table.add_row(name, f"{mean.value:.3f}", interval, f"{values.min():.3f}", f"{values.max():.3f}")
+    Console().print(table)
+    Console(stderr=True).print(f"wrote {out}: {RULE}", highlight=False)
+
+
+def draw_scenes(task: Task, count: int, seed: int) -> SceneSet:
+    """The first ``count`` scenes, of a sequence that depends on the seed alone, that obey the rule.
+
+    Raises:
+        ValueError: for a count below 1, or where almost no scene obeys the rule.
+    """
+    if count < 1:
+        raise ValueError(f"count is {count}, expected at least 1")
+    simulator = task.simulator()
+    draw = jax.jit(jax.vmap(lambda key: _draw(task, simulator, key)))
+    parts: list[Any] = []
+    found = drawn = 0
+    while found < count:
+        if drawn > MOST_DRAWN * count + 10 * DRAWN:
+            raise ValueError(f"only {found} of {drawn} scenes of {task.name} are hard enough: {RULE}")
+        keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(drawn + jnp.arange(DRAWN))
+        starts, places = draw(keys)
+        begin = np.asarray(simulator.observations(starts).rope.points)[:, task.goal_point]
+        obstacles = jax.vmap(simulator.obstacles)(starts)
+        sizes = difficulty(obstacles, begin, np.asarray(places), task.workspace)
+        hard = (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > task.scene.rope.radius)
+        hard &= (np.asarray(starts.faults) & int(Fault.SCENE_OVERFULL)) == 0
+        goals = jax.vmap(lambda place: point_goal(task, place))(places)
+        parts.append(jax.tree.map(lambda leaf, h=hard: np.asarray(leaf)[h], (starts, goals, sizes)))
+        found, drawn = found + int(hard.sum()), drawn + DRAWN
+    starts, goals, sizes = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+    return SceneSet(task.name, seed, starts, goals, sizes)
+
+
+def save_scenes(path: Path, scenes: SceneSet) -> None:
+    """Write a set; the file appears whole or not at all.
+
+    Raises:
+        ValueError: for a path that does not end in .npz.
+    """
+    if path.suffix != ".npz":
+        raise ValueError(f"a file of scenes ends in .npz, got {path}")
+    header = {"format": "doojax scenes", "version": VERSION, "task": scenes.task, "seed": scenes.seed}
+    arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header | {"rule": RULE}).encode(), np.uint8)}
+    arrays |= {f"start/{name}": np.asarray(getattr(scenes.starts, name)) for name in STATE}
+    arrays |= {f"goal/{name}": np.asarray(getattr(scenes.goals, name)) for name in GOAL}
+    arrays |= {f"size/{name}": values for name, values in scenes.sizes.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_scenes(path: Path) -> SceneSet:
+    """Read a set.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no file of scenes, or of another version; the message says which.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            stored = {name: file[name] for name in file.files}
+        header = json.loads(stored["header"].tobytes())
+        version = header["version"] if header["format"] == "doojax scenes" else None
+    except FileNotFoundError:
+        raise
+    except (ValueError, KeyError, TypeError, OSError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is not a file of scenes ({type(error).__name__}: {error})") from error
+    if version != VERSION:
+        raise ValueError(
+            f"{path} has version {version} of scenes, this doojax uses {VERSION}: draw them anew"
+        )
+    state = {name: jnp.asarray(stored[f"start/{name}"]) for name in STATE}
+    count = len(state["qpos"])
+    return SceneSet(
+        task=header["task"],
+        seed=header["seed"],
+        starts=SimState(**state, faults=jnp.zeros(count, dtype=jnp.int32), model_fields={}),
+        goals=Goal(**{name: jnp.asarray(stored[f"goal/{name}"]) for name in GOAL}),
+        sizes={name.removeprefix("size/"): v for name, v in stored.items() if name.startswith("size/")},
+    )
+
+
+def _draw(task: Task, simulator: Any, key: jax.Array) -> tuple[SimState, jax.Array]:
+    start_key, goal_key = jax.random.split(key)
+    start = simulator.reset(start_key)
+    return start, task.sample_goal(goal_key, simulator.obstacles(start))
