@@ -7,7 +7,7 @@ planning took are noted beside.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -25,6 +25,7 @@ from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
 
 REACHED = "goal reached"
+CRASHED = "crashed"
 STUCK = "stuck, and there is no recovery"
 BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
@@ -199,6 +200,19 @@ def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N
         states, seen = simulator.rollout(states, jnp.asarray(action)[None, None])
         points.append(np.asarray(seen.states.points[0, -1]))
     return np.stack(points)
+
+
+def crashed(
+    task: Task, simulator: Simulator, method: Method, trials: Trials, error: Exception, details: str
+) -> TrialRecord:
+    """The record of a trial, the first of ``trials``, that an error ended: it stayed where it started."""
+    rope = observed(simulator, trials.starts)
+    here = _element((jax.vmap(simulator.obstacles)(trials.starts), trials.starts, trials.goals), 0)
+    log = Log([np.asarray(rope.points[0])], [np.asarray(rope.grippers[0])])
+    log.missing = float(_distances(trials.goals, rope)[0])
+    log.stop(f"{CRASHED}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
+    record = _record(task, method, log, trials.seeds[0], *here)
+    return replace(record, about={**record.about, "traceback": details})
 
 
 @jax.jit

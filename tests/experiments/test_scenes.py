@@ -1,5 +1,6 @@
 """Scene sets and what is said of their difficulty."""
 
+import jax
 import jax.numpy as jnp
 import networkx as nx
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from doojax.experiments import scenes
 from doojax.experiments.difficulty import bottleneck, difficulty
 from doojax.tasks.toy import HEIGHT
-from tests.planning.problems import TOY, batch, walls
+from tests.planning.problems import TOY, walls
 
 
 def widest_by_networkx(clearance, begin, end) -> float:
@@ -35,17 +36,21 @@ def test_a_bottleneck_is_what_a_spanning_tree_finds(seed):
     assert found == pytest.approx(widest_by_networkx(clearance, (0, 0), (5, 6)), abs=1e-3)
 
 
+def one(obstacles):
+    return jax.tree.map(lambda leaf: leaf[None], obstacles)
+
+
 def test_difficulty_of_a_wall_with_a_gap_by_hand():
     """A wall along y at x = 0 from y = -0.5 to 0.3, 4 cm thick: the gap to the workspace's border is 0.2 m
     wide, and only the border's own cells, 0.2 m from the wall, bound the way there."""
     wall = walls(centre=(0.0, -0.1), half=(0.02, 0.4))
     begin, goal = np.array([[-0.4, 0.0, HEIGHT]]), np.array([[0.4, 0.0, HEIGHT]])
-    sizes = difficulty(batch(wall), begin, goal, TOY.workspace)
+    sizes = difficulty(one(wall), begin, goal, TOY.workspace)
     assert sizes["distance"] == pytest.approx([0.8])
     assert sizes["straight_clearance"] == pytest.approx([-0.02], abs=1e-5)
     assert sizes["goal_clearance"] == pytest.approx([0.38], abs=1e-5)
     assert sizes["bottleneck"] == pytest.approx([0.2], abs=1e-3)
-    across = difficulty(batch(walls(centre=(0.0, 0.0), half=(0.02, 0.6))), begin, goal, TOY.workspace)
+    across = difficulty(one(walls(centre=(0.0, 0.0), half=(0.02, 0.6))), begin, goal, TOY.workspace)
     assert across["bottleneck"] == [0.0]
 
 

@@ -18,7 +18,7 @@ from doojax.models import Always, CollisionChecker
 from doojax.planning import Rrt, RrtSettings, check_problem, plan_of, search, simulated, simulated_start
 from doojax.planning.rrt import propagate
 
-from .problems import TOY, Never, Towed, batch, element, problem, walls
+from .problems import SIDE_BY_SIDE, TOY, Never, Towed, batch, element, problem, walls
 
 MARGIN = 0.012
 SMALL = RrtSettings(lanes=16, extensions=480, duration=8, candidates=2, stuck_after=16)
@@ -68,8 +68,10 @@ def test_the_trees_invariants(start, angle, goal, wall, seed, planner):
     before = jax.tree.map(lambda leaf: leaf[np.maximum(host.parent, 0)], host.state)
     for first in range(1, used, lanes):
         own = slice(first, first + lanes)
-        states = jax.tree.map(lambda leaf, own=own: jnp.asarray(leaf[None, own]), before)
-        action = jnp.asarray(host.action[None, own])
+        states, action = jax.tree.map(
+            lambda leaf, own=own: jnp.broadcast_to(leaf[own], (SIDE_BY_SIDE, *leaf[own].shape)),
+            (before, host.action),
+        )
         after, _ = propagate(planner.dynamics, alone.obstacles, states, action)
         assert np.array_equal(after.points[0], host.state.points[own])
         assert np.array_equal(after.grippers[0], host.state.grippers[own])
@@ -196,7 +198,7 @@ def test_predictions_that_are_not_finite_never_enter_the_tree():
 
 def test_a_simulator_outside_of_jit_grows_the_tree_that_it_grows_inside():
     simulator = TOY.simulator()
-    states = jax.vmap(simulator.reset)(jax.random.split(jax.random.key(3), 2))
+    states = jax.vmap(simulator.reset)(jax.random.split(jax.random.key(3), SIDE_BY_SIDE))
     starts = simulated_start(simulator, states)
     two = batch(problem(goal=(0.4, -0.3)), problem())
     two = eqx.tree_at(lambda p: p.start, two, starts)

@@ -1,0 +1,235 @@
+"""Trials of several methods on the same scenes: `doojax evaluate`.
+
+The folder of an evaluation holds config.json and, for every method, one record a trial. What is there is not
+run again: an evaluation that was killed goes on where it was and loses the trials in flight.
+"""
+
+import json
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from doojax.datasets.files import describe_contents, file_digest, write_atomically
+from doojax.experiments.methods import RECIPES, find_models, make_method, needed_models
+from doojax.experiments.records import TrialRecord, save_record
+from doojax.experiments.scenes import FOLDER, SceneSet, load_scenes
+from doojax.experiments.trial import CRASHED, Method, Trials, TrialSettings, crashed, run_trials
+from doojax.planning import RrtSettings
+from doojax.simulation.engines import resolve_engine
+from doojax.simulation.state import Simulator
+from doojax.tasks import make_task
+from doojax.tasks.base import Task
+
+CONFIG, METHOD, SECONDS = "config.json", "method.json", "seconds.jsonl"
+SEEDS_APART = 100_000  # between the trials of two seeds
+ON_ACCELERATORS = 32  # trials side by side
+PLANNING, BUDGET = RrtSettings(), TrialSettings()
+
+
+def evaluate(
+    task: str,
+    /,
+    *,
+    methods: tuple[str, ...],
+    out: Path,
+    models: Path | None = None,
+    scenes: Path | None = None,
+    trials: int | None = None,
+    seed: int = 0,
+    engine: str = "auto",
+    planning: RrtSettings = PLANNING,
+    budget: TrialSettings = BUDGET,
+    side_by_side: int | None = None,
+    keep_trees: bool = False,
+) -> None:
+    """Try methods on the same scenes: one record a trial, for doojax compare and doojax view.
+
+    Runs on from where it was killed, to the same trials. Trial i depends on the scenes, its number, the
+    seed, the models and the settings alone, so a longer evaluation begins with the same trials.
+
+    Args:
+        task: rope_dragging, dual_gripper or toy.
+        methods: some of classifier, voxel_classifier, no_classifier, collision_checker, full_dynamics,
+            learned_recovery, random_recovery, oracle.
+        out: the evaluation's folder; new, empty, or the same evaluation unfinished.
+        models: a folder of trained models, or of folders with a model.eqx each; without it the dynamics are
+            the simulator's own without obstacles.
+        scenes: a file that doojax scenes wrote; by default the task's own.
+        trials: how many, from the first scene on; by default one for every scene.
+        seed: of everything that is random.
+        engine: that executes: auto, mujoco, mjx or warp.
+        planning: how a tree is grown.
+        budget: when a trial ends.
+        side_by_side: trials in one batch; by default 1 on a CPU and 32 on an accelerator.
+        keep_trees: record all that was tried in every search (megabytes a trial).
+
+    Raises:
+        ValueError: for an unknown name, models that are missing or of another task, more trials than scenes,
+            or a folder that holds something else.
+    """
+    the_task = make_task(task)
+    if not methods:
+        raise ValueError(f"no methods were named, expected some of {', '.join(RECIPES)}")
+    engine = resolve_engine(engine)
+    path = scenes or FOLDER / f"{task}.npz"
+    scene_set = load_scenes(path)
+    found = find_models(models, task)
+    needed = {name: needed_models(name, found) for name in dict.fromkeys(methods)}
+    trials = len(scene_set) if trials is None else trials
+    side_by_side = side_by_side or (1 if jax.default_backend() == "cpu" else ON_ACCELERATORS)
+    if scene_set.task != task:
+        raise ValueError(f"{path} holds scenes of {scene_set.task}, not of {task}")
+    if not 1 <= trials <= len(scene_set):
+        raise ValueError(f"trials is {trials}, expected 1 to {len(scene_set)}, the number of scenes")
+    config = {
+        "task": task,
+        "scenes": file_digest(path)[:16],
+        "seed": seed,
+        "engine": engine,
+        "planning": asdict(planning),
+        "budget": asdict(budget),
+        "side_by_side": side_by_side,
+    }
+    claim(out, CONFIG, config)
+    simulator = the_task.simulator(engine)
+    console = Console(stderr=True)
+    for name, files in needed.items():
+        claim(out / name, METHOD, {"models": {kind: file_digest(path)[:16] for kind, path in files.items()}})
+        method = make_method(name, the_task, simulator, found)
+        missing = [i for i in range(trials) if not record_file(out, name, i).exists()]
+        groups = sorted({i // side_by_side for i in missing})
+        with _progress(console) as progress:
+            bar = progress.add_task(name, total=trials, completed=trials - len(missing), found="")
+            reached, broken = 0, []
+            for group in groups:
+                begun = time.perf_counter()
+                numbers = group_of(group, side_by_side, len(scene_set))
+                chosen = chosen_trials(scene_set, numbers, seed)
+                records = attempted(the_task, simulator, method, planning, budget, chosen, keep_trees)
+                fresh = [i for i in missing if i // side_by_side == group]
+                for i in fresh:
+                    record = records[numbers.index(i)]
+                    save_record(record_file(out, name, i), record)
+                    reached += record.reached
+                    broken += [record.end] if record.end.startswith(CRASHED) else []
+                _note_seconds(out / name, len(fresh), time.perf_counter() - begun)
+                progress.update(bar, advance=len(fresh), found=f"{reached} reached")
+        if broken:
+            console.print(
+                f"[red]{name}: {len(broken)} trials {escape(broken[0])}[/] (their records say where; delete "
+                "them to try again)"
+            )
+    console.print(f"{trials} trials of {', '.join(needed)} in {out}", highlight=False)
+    console.print(f"to see how they did: doojax compare {out}", highlight=False)
+
+
+def record_file(out: Path, method: str, trial: int) -> Path:
+    """Where a trial's record is."""
+    return out / method / f"{trial:05d}.npz"
+
+
+def claim(folder: Path, name: str, config: dict[str, Any]) -> None:
+    """Begin a folder with this config in the file ``name``, or return to one that was begun with it.
+
+    Raises:
+        ValueError: the folder holds something else; the message says what.
+    """
+    file = folder / name
+    config = json.loads(json.dumps(config, allow_nan=False))
+    if file.exists():
+        old = json.loads(file.read_text(encoding="utf-8"))
+        changed = [
+            f"{key}: {old.get(key)!r} -> {config.get(key)!r}"
+            for key in {**old, **config}
+            if old.get(key) != config.get(key)
+        ]
+        if changed:
+            raise ValueError(
+                f"{folder} holds another evaluation (old -> new):\n  " + "\n  ".join(changed) + "\n"
+                "choose another folder, or the old settings to go on with it"
+            )
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        held = describe_contents(folder) if folder.is_dir() else "a file"
+        raise ValueError(f"{folder} is not an evaluation: it holds {held}; choose a new or empty folder")
+    else:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(file, json.dumps(config, indent=2) + "\n")
+
+
+def group_of(group: int, size: int, scenes: int) -> list[int]:
+    """The numbers of the trials of a group: always as many, so that nothing is compiled anew and results do
+    not depend on how many trials are asked for; beyond the last scene they begin anew."""
+    return [number % scenes for number in range(group * size, (group + 1) * size)]
+
+
+def chosen_trials(scenes: SceneSet, numbers: Sequence[int], seed: int) -> Trials:
+    """The trials with these numbers."""
+    rows = np.asarray(numbers)
+    starts, goals = jax.tree.map(lambda leaf: leaf[rows], (scenes.starts, scenes.goals))
+    return Trials(starts, goals, [seed * SEEDS_APART + number for number in numbers])
+
+
+def attempted(
+    task: Task,
+    simulator: Simulator,
+    method: Method,
+    planning: RrtSettings,
+    budget: TrialSettings,
+    trials: Trials,
+    keep_trees: bool = False,
+) -> list[TrialRecord]:
+    """What `run_trials` gives; if it fails, every trial is run without the others, and those that fail again
+    are recorded as crashed."""
+
+    def run(some: Trials) -> list[TrialRecord]:
+        return run_trials(task, simulator, method, planning, budget, some, keep_trees=keep_trees)
+
+    try:
+        return run(trials)
+    except Exception as error:
+        if len(trials.seeds) == 1:
+            return [crashed(task, simulator, method, trials, error, traceback.format_exc())]
+    records = []
+    for i, seed in enumerate(trials.seeds):
+        rows = np.full(len(trials.seeds), i)  # as many, and so the same shapes
+        starts, goals = jax.tree.map(lambda leaf, r=rows: leaf[r], (trials.starts, trials.goals))
+        alone = Trials(starts, goals, [seed] * len(trials.seeds))
+        try:
+            records.append(run(alone)[0])
+        except Exception as error:
+            records.append(crashed(task, simulator, method, alone, error, traceback.format_exc()))
+    return records
+
+
+def _note_seconds(folder: Path, trials: int, seconds: float) -> None:
+    with (folder / SECONDS).open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"trials": trials, "seconds": round(seconds, 3)}) + "\n")
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[found]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+    )

@@ -1,0 +1,108 @@
+"""The methods of chapter II by name: which dynamics, judged by what, recovering how."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from doojax.experiments.trial import Method
+from doojax.models import Always, CollisionChecker
+from doojax.planning import simulated, simulated_start
+from doojax.planning.recovery import RandomRecovery
+from doojax.simulation.state import Simulator
+from doojax.tasks.base import Task
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a method is made of: kinds of learned models, or the names of what is not learned."""
+
+    dynamics: str
+    reliability: str = "always"
+    recovery: str | None = None
+
+
+RECIPES: Mapping[str, Recipe] = {
+    "classifier": Recipe("dynamics", "classifier"),
+    "voxel_classifier": Recipe("dynamics", "voxel_classifier"),
+    "no_classifier": Recipe("dynamics"),
+    "collision_checker": Recipe("dynamics", "collision_checker"),
+    "full_dynamics": Recipe("full_dynamics"),
+    "learned_recovery": Recipe("dynamics", "classifier", "recovery"),
+    "random_recovery": Recipe("dynamics", "classifier", "random"),
+    "oracle": Recipe("simulator"),
+}
+NOT_LEARNED = {"simulator", "always", "collision_checker", "random", None}
+
+
+def find_models(folder: Path | None, task: str) -> dict[str, Path]:
+    """The files of models in a folder and the folders in it, by kind.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        ValueError: two models are of one kind, or one is of another task.
+    """
+    if folder is None:
+        return {}
+    from doojax.learning.checkpoints import read_header
+
+    found: dict[str, Path] = {}
+    if not folder.is_dir():
+        raise FileNotFoundError(f"there is no folder of models {folder}")
+    for path in sorted([*folder.glob("*.eqx"), *folder.glob("*/model.eqx")]):
+        header, _ = read_header(path)
+        if header.task != task:
+            raise ValueError(f"{path} was trained for the task {header.task!r}, not for {task!r}")
+        if header.kind in found:
+            raise ValueError(f"{found[header.kind]} and {path} are both of kind {header.kind!r}: keep one")
+        found[header.kind] = path
+    return found
+
+
+def needed_models(name: str, models: Mapping[str, Path]) -> dict[str, Path]:
+    """The models that a method needs, by kind, of those that there are.
+
+    Without any, the dynamics are the simulator's own without obstacles: unconstrained, and exact.
+
+    Raises:
+        ValueError: for an unknown method, or one whose models are missing.
+    """
+    if name not in RECIPES:
+        raise ValueError(f"unknown method {name!r}, expected one of {', '.join(RECIPES)}")
+    recipe = RECIPES[name]
+    kinds = {recipe.dynamics, recipe.reliability, recipe.recovery} - NOT_LEARNED
+    if not models:
+        kinds -= {"dynamics"}
+    missing = sorted(kind for kind in kinds if kind and kind not in models)
+    if missing:
+        there = ", ".join(models) or "none"
+        raise ValueError(
+            f"method {name!r} needs models of kind {', '.join(missing)}; there are: {there}. Train them with "
+            "doojax train, and name their folder by --models"
+        )
+    return {kind: models[kind] for kind in sorted(k for k in kinds if k)}
+
+
+def make_method(name: str, task: Task, simulator: Simulator, models: Mapping[str, Path]) -> Method:
+    """The method called ``name``; errors as for `needed_models`."""
+    from doojax.learning.checkpoints import load_model
+
+    needed, recipe = needed_models(name, models), RECIPES[name]
+
+    def loaded(kind: str) -> Any:
+        return load_model(needed[kind], task=task.name, kind=kind)[0]
+
+    made: dict[str, Any] = {"begin": simulated_start} if recipe.dynamics == "simulator" else {}
+    if recipe.dynamics in needed:
+        dynamics = loaded(recipe.dynamics)
+    else:
+        dynamics = simulated(simulator)
+        made.setdefault("begin", partial(simulated_start, without_obstacles=True))
+    unlearned = {"always": Always, "collision_checker": CollisionChecker, "random": RandomRecovery}
+
+    def judge(kind: str) -> Any:
+        return unlearned[kind]() if kind in unlearned else loaded(kind)
+
+    recovery = judge(recipe.recovery) if recipe.recovery else None
+    return Method(name, dynamics, judge(recipe.reliability), recovery, **made)
