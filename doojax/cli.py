@@ -30,9 +30,10 @@ BENCHMARKS: Commands = {
 COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
-    "render": ("doojax.viewer.render:render", "draw a data set as a picture or a film"),
+    "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),
     "scenes": ("doojax.experiments.scenes:scenes", "draw a set of scenes for trials"),
     "evaluate": ("doojax.experiments.evaluate:evaluate", "try methods on the same scenes"),
+    "compare": ("doojax.experiments.compare:compare", "tables, a figure and paired tests of an evaluation"),
     "replay": ("doojax.datasets.replay:replay", "simulate a stored trajectory again"),
     "signature": (
         "doojax.topology.describe:signature",

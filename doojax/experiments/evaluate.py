@@ -27,8 +27,9 @@ from rich.progress import (
 
 from doojax.datasets.files import describe_contents, file_digest, write_atomically
 from doojax.experiments.methods import RECIPES, find_models, make_method, needed_models
+from doojax.experiments.outcomes import CONFIG, METHOD, SCENES, SECONDS
 from doojax.experiments.records import TrialRecord, save_record
-from doojax.experiments.scenes import FOLDER, SceneSet, load_scenes
+from doojax.experiments.scenes import FOLDER, SceneSet, load_scenes, save_scenes
 from doojax.experiments.trial import CRASHED, Method, Trials, TrialSettings, crashed, run_trials
 from doojax.planning import RrtSettings
 from doojax.simulation.engines import resolve_engine
@@ -36,7 +37,6 @@ from doojax.simulation.state import Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
 
-CONFIG, METHOD, SECONDS = "config.json", "method.json", "seconds.jsonl"
 SEEDS_APART = 100_000  # between the trials of two seeds
 ON_ACCELERATORS = 32  # trials side by side
 PLANNING, BUDGET = RrtSettings(), TrialSettings()
@@ -87,7 +87,7 @@ def evaluate(
     if not methods:
         raise ValueError(f"no methods were named, expected some of {', '.join(RECIPES)}")
     engine = resolve_engine(engine)
-    path = scenes or FOLDER / f"{task}.npz"
+    path = scenes or FOLDER / f"{task}.scenes"
     scene_set = load_scenes(path)
     found = find_models(models, task)
     needed = {name: needed_models(name, found) for name in dict.fromkeys(methods)}
@@ -107,6 +107,8 @@ def evaluate(
         "side_by_side": side_by_side,
     }
     claim(out, CONFIG, config)
+    if not (out / SCENES).exists():
+        save_scenes(out / SCENES, scene_set)
     simulator = the_task.simulator(engine)
     console = Console(stderr=True)
     for name, files in needed.items():

@@ -56,12 +56,12 @@ def scenes(task: str, /, *, count: int = SCENES, seed: int = 0, out: Path | None
         task: rope_dragging, dual_gripper or toy.
         count: how many scenes.
         seed: of everything that is random.
-        out: the file, ending in .npz; by default TASK.npz in this folder.
+        out: the file, ending in .scenes; by default TASK.scenes in this folder.
 
     Raises:
         ValueError: for an unknown task, a count below 1, a file of another kind, or if hard scenes are rare.
     """
-    out = out or Path(f"{task}.npz")
+    out = out or Path(f"{task}.scenes")
     drawn = draw_scenes(make_task(task), count, seed)
     save_scenes(out, drawn)
     table = Table("metres", "mean", "95 % interval", "least", "greatest", title=f"{count} scenes of {task}")
@@ -106,10 +106,10 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
     """Write a set; the file appears whole or not at all.
 
     Raises:
-        ValueError: for a path that does not end in .npz.
+        ValueError: for a path that does not end in .scenes.
     """
-    if path.suffix != ".npz":
-        raise ValueError(f"a file of scenes ends in .npz, got {path}")
+    if path.suffix != ".scenes":
+        raise ValueError(f"a file of scenes ends in .scenes, got {path}")
     header = {"format": "doojax scenes", "version": VERSION, "task": scenes.task, "seed": scenes.seed}
     arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header | {"rule": RULE}).encode(), np.uint8)}
     arrays |= {f"start/{name}": np.asarray(getattr(scenes.starts, name)) for name in STATE}

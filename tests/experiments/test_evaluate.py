@@ -28,7 +28,7 @@ METHOD = "collision_checker"
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scenes") / "toy.npz"
+    path = tmp_path_factory.mktemp("scenes") / "toy.scenes"
     save_scenes(path, draw_scenes(TOY, 7, 0))
     return path
 

@@ -62,10 +62,10 @@ def test_scenes_obey_the_rule_and_a_larger_set_begins_with_the_smaller(tmp_path)
     assert np.array_equal(few.goals.targets, many.goals.targets[:5])
     assert len(np.unique(many.goals.targets[:, 0, 0])) == 40
 
-    scenes.save_scenes(tmp_path / "a.npz", few)
-    scenes.save_scenes(tmp_path / "b.npz", scenes.draw_scenes(TOY, 5, 3))
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-    read = scenes.load_scenes(tmp_path / "a.npz")
+    scenes.save_scenes(tmp_path / "a.scenes", few)
+    scenes.save_scenes(tmp_path / "b.scenes", scenes.draw_scenes(TOY, 5, 3))
+    assert (tmp_path / "a.scenes").read_bytes() == (tmp_path / "b.scenes").read_bytes()
+    read = scenes.load_scenes(tmp_path / "a.scenes")
     assert (read.task, read.seed) == ("toy", 3)
     assert np.array_equal(read.starts.qpos, few.starts.qpos) and not read.starts.faults.any()
     assert np.array_equal(read.goals.bodies, few.goals.bodies)
@@ -77,8 +77,8 @@ def test_files_that_are_no_scenes_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"other.npz is not a file of scenes \(KeyError"):
         scenes.load_scenes(tmp_path / "other.npz")
     with pytest.raises(FileNotFoundError):
-        scenes.load_scenes(tmp_path / "none.npz")
-    with pytest.raises(ValueError, match=r"a file of scenes ends in .npz, got .*scenes.json"):
+        scenes.load_scenes(tmp_path / "none.scenes")
+    with pytest.raises(ValueError, match=r"a file of scenes ends in .scenes, got .*scenes.json"):
         scenes.save_scenes(tmp_path / "scenes.json", scenes.draw_scenes(TOY, 1, 0))
     with pytest.raises(ValueError, match="count is 0"):
         scenes.draw_scenes(TOY, 0, 0)
