@@ -9,6 +9,7 @@ from doojax.simulation.rope import (
     FLOOR_CONTACT,
     OBSTACLE_CONTACT,
     RopeParameters,
+    add_floor_friction,
     add_rope,
     link_name,
 )
@@ -36,6 +37,7 @@ VARIABLE_FIELDS = (
     "tendon_stiffness",
     "tendon_armature",
     "tendon_damping",
+    "tendon_frictionloss",
     "tendon_lengthspring",
     "tendon_length0",
     "tendon_invweight0",
@@ -59,7 +61,7 @@ def build_spec(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjSpe
     spec = mujoco.MjSpec()
     spec.modelname = scene.name
     _set_options(spec, scene)
-    if scene.floor:
+    if scene.floor and not scene.planar:
         spec.worldbody.add_geom(
             name="floor",
             type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -71,6 +73,8 @@ def build_spec(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjSpe
     for obstacle in scene.obstacles:
         _add_obstacle(spec, scene, obstacle)
     add_rope(spec, scene.rope_model, rope, height=rope.radius)
+    if scene.floor and scene.planar:
+        add_floor_friction(spec, scene.rope_model, rope, scene.gravity, scene.solver.contact_time)
     for index, gripper in enumerate(scene.grippers):
         _add_gripper(spec, scene, rope, gripper, index)
     for geom in spec.geoms:

@@ -65,8 +65,8 @@ class SolverSettings:
     """MuJoCo's solver; the same values serve every engine, because results depend on them."""
 
     algorithm: Literal["newton", "cg"] = "newton"  # cg pays from about 30 degrees of freedom on
-    iterations: int = 10  # at 6, dragged ropes end up centimetres from where a converged solver puts them
-    line_search_iterations: int = 10
+    iterations: int = 6
+    line_search_iterations: int = 6
     contact_time: float = 0.01  # s, time constant of contacts and holds; at least two time steps
     max_contact_points: int = 20  # kept by MJX, most penetrating first; MuJoCo C keeps all
     max_geom_pairs: int = 24  # tested by MJX after a bounding sphere test, per pair of geometry types
@@ -111,7 +111,7 @@ class Scene:
     def nv(self) -> int:
         """Number of degrees of freedom."""
         links, hands = self.rope_model.links, len(self.grippers)
-        rope = {"planar_chain": links + 3, "capsule_chain": 3 * links + 3, "point_masses": 3 * links}
+        rope = {"planar_chain": links + 2, "capsule_chain": 3 * links + 3, "point_masses": 3 * links}
         return rope[self.rope_model.kind] + (2 if self.planar else 3) * hands
 
     @property

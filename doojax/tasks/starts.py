@@ -90,13 +90,13 @@ def moved(
     """Turn rope and grippers about the world's z axis by ``yaw`` (rad), then move by ``translation`` (m)."""
     turn = quaternion_from_yaw(yaw)
     if scene.planar:
-        root, grippers = qpos[:4], qpos[-2 * len(scene.grippers) :].reshape(-1, 2)
+        root, grippers = qpos[:3], qpos[-2 * len(scene.grippers) :].reshape(-1, 2)
         origin = jnp.array([_middle_offset(scene), 0.0, 0.0])
         point = rotate(turn, jnp.append(root[:2], 0.0) + origin) + translation - origin
-        root = jnp.stack([point[0], point[1], root[2], root[3] + yaw])
+        root = jnp.stack([point[0], point[1], root[2] + yaw])
         flat = jnp.concatenate([grippers, jnp.zeros((grippers.shape[0], 1))], axis=1)
         grippers = (rotate(turn, flat) + translation)[:, :2]
-        count, width = 4, 2
+        count, width = 3, 2
     else:
         root = jnp.concatenate([rotate(turn, qpos[:3]) + translation, quaternion_multiply(turn, qpos[3:7])])
         grippers = rotate(turn, qpos[-3 * len(scene.grippers) :].reshape(-1, 3)) + translation
@@ -147,7 +147,7 @@ def straight_qpos(scene: Scene, height: float) -> Float[np.ndarray, "nq"]:
     pitch = length / links
     holds = [(g.link + 0.5 + g.end / 2) * pitch - length / 2 for g in scene.grippers]
     if scene.planar:
-        return np.concatenate([np.zeros(3 + links), *([x, 0.0] for x in holds)])
+        return np.concatenate([np.zeros(2 + links), *([x, 0.0] for x in holds)])
     root = [_middle_offset(scene), 0.0, height, 1.0, 0.0, 0.0, 0.0]
     return np.concatenate([root, np.zeros(3 * (links - 1)), *([x, 0.0, height] for x in holds)])
 

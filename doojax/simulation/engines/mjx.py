@@ -39,8 +39,12 @@ class MjxSimulator(eqx.Module):
         """Put ``scene`` on JAX's default device; ``start(key)`` draws a SimState."""
         model = build_model(scene)
         self.scene, self.start, self.layout = scene, start, Layout.of(scene, model)
-        self.model = mjx.put_model(model, impl=impl)
-        self.data = mjx.make_data(model, impl=impl)
+        if impl == "warp":
+            from doojax.simulation.engines.warp import warp_data, warp_model
+
+            self.model, self.data = warp_model(model), warp_data(scene, batch=1)
+        else:
+            self.model, self.data = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
 
     def reset(self, key: Array) -> SimState:
         """A start drawn from the task's distribution."""
@@ -48,21 +52,35 @@ class MjxSimulator(eqx.Module):
 
     def step(self, state: SimState, action: Float[Array, "G 3"]) -> SimState:
         """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
-        model, data = self._load(state)
         grippers = state.qpos[self.layout.gripper_qpos]
         targets = gripper_targets(self.scene, grippers, action[:, : grippers.shape[-1]])
+        advance = MjxSimulator._advance
+        if self.model.impl == mjx.Impl.WARP:
+            from doojax.simulation.engines.warp import for_any_batch
+
+            qpos, qvel, dropped = for_any_batch(self, advance)(state, targets)
+        else:
+            qpos, qvel, dropped = advance(self, state, targets)
+        faults = find_faults(qpos, qvel) + jnp.where(dropped, int(Fault.CONTACTS_DROPPED), 0)
+        return eqx.tree_at(
+            lambda s: (s.qpos, s.qvel, s.faults), state, (qpos, qvel, faults.astype(jnp.int32))
+        )
+
+    def _advance(
+        self, state: SimState, targets: Float[Array, "S GD"]
+    ) -> tuple[Array, Array, Bool[Array, ""]]:
+        """One physics step per target: positions, velocities, and whether contacts were dropped."""
+        model, data = self._load(state)
 
         def substep(carry, target):
-            data, dropped = carry
-            data = mjx.step(model, data.replace(ctrl=target))
+            before, dropped = carry
+            data = mjx.step(model, before.replace(ctrl=target))
+            # with 64-bit floats enabled, MJX also widens the indices of tendons
+            data = jax.tree.map(lambda new, old: new.astype(old.dtype), data, before)
             return (data, dropped | self._contacts_dropped(data)), None
 
         (data, dropped), _ = jax.lax.scan(substep, (data, jnp.array(False)), targets)
-        faults = find_faults(data.qpos, data.qvel)
-        faults = faults + jnp.where(dropped, int(Fault.CONTACTS_DROPPED), 0)
-        return eqx.tree_at(
-            lambda s: (s.qpos, s.qvel, s.faults), state, (data.qpos, data.qvel, faults.astype(jnp.int32))
-        )
+        return data.qpos, data.qvel, dropped
 
     def observe(self, state: SimState) -> RopeState:
         """Link centres and gripper positions, world frame, metres."""
@@ -123,7 +141,11 @@ class MjxSimulator(eqx.Module):
         return slice(self.data.eq_active.shape[0] - len(self.scene.grippers), None)
 
     def _contacts_dropped(self, data: mjx.Data) -> Bool[Array, ""]:
-        contact = getattr(data._impl, "contact", None)
-        if contact is None or contact.dist.shape[0] < self.scene.solver.max_contact_points:
+        if self.model.impl == mjx.Impl.WARP:
+            from doojax.simulation.engines.warp import contacts_dropped
+
+            return contacts_dropped(data)
+        contact = data._impl.contact
+        if contact.dist.shape[0] < self.scene.solver.max_contact_points:
             return jnp.array(False)
         return jnp.all(contact.dist < 0)
