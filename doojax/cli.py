@@ -21,6 +21,8 @@ import doojax
 type Commands = Mapping[str, tuple[str | Commands, str]]
 
 BENCHMARKS: Commands = {
+    "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
+    "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
     "signature": (
         "doojax.benchmarks.signature:signature",
         "grasp loop signatures against the h-signature package",
@@ -31,6 +33,7 @@ COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
     "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),
+    "plan": ("doojax.experiments.plan:plan", "plan and execute in one scene"),
     "scenes": ("doojax.experiments.scenes:scenes", "draw a set of scenes for trials"),
     "evaluate": ("doojax.experiments.evaluate:evaluate", "try methods on the same scenes"),
     "compare": ("doojax.experiments.compare:compare", "tables, a figure and paired tests of an evaluation"),

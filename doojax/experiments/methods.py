@@ -33,6 +33,7 @@ RECIPES: Mapping[str, Recipe] = {
     "random_recovery": Recipe("dynamics", "classifier", "random"),
     "oracle": Recipe("simulator"),
 }
+PRETRAINED = Path(__file__).parent / "pretrained"
 NOT_LEARNED = {"simulator", "always", "collision_checker", "random", None}
 
 
@@ -58,6 +59,12 @@ def find_models(folder: Path | None, task: str) -> dict[str, Path]:
             raise ValueError(f"{found[header.kind]} and {path} are both of kind {header.kind!r}: keep one")
         found[header.kind] = path
     return found
+
+
+def pretrained_models(task: str) -> dict[str, Path]:
+    """The models that come with doojax, by kind; none for some tasks."""
+    folder = PRETRAINED / task
+    return find_models(folder, task) if folder.is_dir() else {}
 
 
 def needed_models(name: str, models: Mapping[str, Path]) -> dict[str, Path]:

@@ -26,6 +26,7 @@ from doojax.types import Obstacles, RopeState
 
 REACHED = "goal reached"
 CRASHED = "crashed"
+NOT_EXECUTED = "the plan was not to be executed"
 STUCK = "stuck, and there is no recovery"
 BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
@@ -114,6 +115,7 @@ def run_trials(
     trials: Trials,
     *,
     keep_trees: bool = False,
+    execute: bool = True,
 ) -> list[TrialRecord]:
     """Run R trials side by side.
 
@@ -125,6 +127,7 @@ def run_trials(
         settings: when a trial ends.
         trials: from where to where.
         keep_trees: record all that the searches tried, not only the plans.
+        execute: false to end every trial after its first search.
 
     Returns:
         R records; their ``replay`` holds what `replay` needs, their ``about`` counts and seconds.
@@ -150,7 +153,9 @@ def run_trials(
         moves = [Moves(np.zeros((0, task.grippers, 3), np.float32))] * len(logs)
         for i in np.flatnonzero(running).tolist():
             plan = _noted_plan(logs[i], _element(trees, i), seconds, keep_trees)
-            if plan.status != "stuck":
+            if not execute:
+                logs[i].stop(NOT_EXECUTED)
+            elif plan.status != "stuck":
                 moves[i] = Moves(plan.actions, np.asarray(plan.states.points)[1:])
                 logs[i].note("execute", f"{len(plan.actions)} actions")
             elif method.recovery is None:
@@ -246,7 +251,8 @@ def _noted_plan(log: Log, tree: Tree, seconds: float, keep_trees: bool) -> Plan:
     log.plan_s += seconds
     log.extensions += plan.extensions
     log.plans.append(record_plan(tree, plan, len(log.actions), whole=keep_trees))
-    log.note("plan", f"{plan.status}: {plan.accepted} of {plan.extensions} extensions accepted")
+    ends = f"{100 * plan.goal_distance:.1f} cm from the goal"
+    log.note("plan", f"{plan.status}, {ends}; {plan.accepted} of {plan.extensions} extensions accepted")
     return plan
 
 

@@ -1,0 +1,106 @@
+"""One plan: `doojax plan`."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+from rich.console import Console
+from rich.table import Table
+
+from doojax.experiments.methods import find_models, make_method, pretrained_models
+from doojax.experiments.records import save_record
+from doojax.experiments.scenes import FOLDER, load_scenes
+from doojax.experiments.trial import Trials, TrialSettings, run_trials
+from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem, gripper_goal, point_goal
+from doojax.simulation.engines import resolve_engine
+from doojax.simulation.state import SimState, Simulator
+from doojax.tasks import make_task
+from doojax.tasks.base import Task
+
+PLANNING, BUDGET = RrtSettings(), TrialSettings()
+
+
+def plan(
+    task: str,
+    /,
+    *,
+    method: str | None = None,
+    models: Path | None = None,
+    scene: int | None = None,
+    seed: int = 0,
+    goal: tuple[float, float, float] | None = None,
+    points: tuple[int, ...] | None = None,
+    grippers: tuple[tuple[float, float, float], ...] | None = None,
+    execute: bool = True,
+    engine: str = "auto",
+    planning: RrtSettings = PLANNING,
+    budget: TrialSettings = BUDGET,
+    out: Path = Path("plan.npz"),
+) -> None:
+    """Plan in one scene, execute the plan in the simulator, and record it all for doojax view.
+
+    Args:
+        task: rope_dragging, dual_gripper or toy.
+        method: one of classifier, voxel_classifier, no_classifier, collision_checker, full_dynamics,
+            learned_recovery, random_recovery, oracle; by default classifier if there is one.
+        models: a folder of trained models, or of folders with a model.eqx each; by default those that come
+            with doojax.
+        scene: the number of one of the task's scenes for trials; by default a scene drawn by the seed.
+        seed: of everything that is random.
+        goal: a point (x, y, z, metres) for the task's rope point; by default the scene's.
+        points: indices of rope points of which any may reach the goal, in place of the task's own.
+        grippers: a point (m) for every gripper; alone, or in addition to a goal.
+        execute: false to plan only.
+        engine: that executes: auto, mujoco, mjx or warp.
+        planning: how a tree is grown.
+        budget: when to give up.
+        out: the record to write, ending in .npz.
+
+    Raises:
+        ValueError: for names or indices that do not exist, a goal out of reach, a scene in collision at the
+            start, or models that are missing or of another task.
+    """
+    the_task = make_task(task)
+    if out.suffix != ".npz":
+        raise ValueError(f"a record ends in .npz, got {out}")
+    if points is not None and goal is None:
+        raise ValueError("points were given without a goal that they are to reach")
+    found = find_models(models, task) if models else pretrained_models(task)
+    method = method or ("classifier" if "classifier" in found else "collision_checker")
+    simulator = the_task.simulator(resolve_engine(engine))
+    start, aim = _scene(the_task, simulator, scene, seed)
+    wanted = [point_goal(the_task, jnp.array(goal), points=points)] if goal is not None else []
+    wanted += [gripper_goal(the_task, jnp.array(grippers))] if grippers is not None else []
+    aim = all_of(*wanted) if wanted else aim
+    batch: tuple[SimState, Goal] = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (start, aim))
+    rope = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).rope)
+    check_problem(the_task, Problem(simulator.obstacles(start), rope, aim, jax.random.key(seed)))
+
+    chosen = make_method(method, the_task, simulator, found)
+    trials = Trials(*batch, [seed])
+    (record,) = run_trials(
+        the_task, simulator, chosen, planning, budget, trials, keep_trees=True, execute=execute
+    )
+    save_record(out, record)
+    table = Table(show_header=False, title=f"{task}, {method}, seed {seed}")
+    for event in record.events:
+        table.add_row(f"state {event.step}", event.kind, event.text)
+    console = Console()
+    console.print(table)
+    if execute:
+        console.print(
+            f"the rope ends {100 * record.about['final_error_m']:.1f} cm from the goal", highlight=False
+        )
+    console.print(f"searching took {record.about['plan_s']:.1f} s; to see it all: doojax view {out}")
+
+
+def _scene(task: Task, simulator: Simulator, scene: int | None, seed: int) -> tuple[SimState, Goal]:
+    """A start and the goal that goes with it."""
+    if scene is None:
+        start_key, goal_key = jax.random.split(jax.random.key(seed))
+        start = simulator.reset(start_key)
+        return start, point_goal(task, task.sample_goal(goal_key, simulator.obstacles(start)))
+    known = load_scenes(FOLDER / f"{task.name}.scenes")
+    if not 0 <= scene < len(known):
+        raise ValueError(f"there is no scene {scene} of {task.name}: expected 0 to {len(known) - 1}")
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf[scene]), (known.starts, known.goals))
