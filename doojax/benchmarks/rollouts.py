@@ -1,0 +1,156 @@
+"""How fast each engine simulates a task, in one run, free and in contact, beside bare `mujoco.rollout`.
+
+Arithmetic and bytes, for `rope_dragging` (15 degrees of freedom, up to 48 contact rows, 30 friction rows): a
+Newton iteration builds and factors a 15 x 15 matrix from 80 rows, 2 x 80 x 15^2 / 2 operations and some, and
+a step has one to six of them: some 0.1 million operations, 5 microseconds of one core at 20 GFLOP/s. MuJoCo C
+needs six times that, in cache. MJX holds every intermediate of the whole batch: some 60 kB an element, so a
+batch of 1,024 streams 60 MB through memory several times a step, and that is what it waits for on a CPU.
+"""
+
+import json as json_format
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from doojax.datasets.collect import random_trajectories
+from doojax.experiments.reports import Row, row, write_summary
+from doojax.simulation.engines import available_engines
+from doojax.simulation.engines.bare import bare_rollout
+from doojax.simulation.state import SimState
+from doojax.tasks import make_task
+from doojax.tasks.base import Task
+
+SEED = 0
+SAMPLES, PERIODS = 256, 10  # trajectories, and actions in each, that the states in contact are taken from
+TOUCHING = 0.002  # m between rope and obstacle, less counts as contact
+ROUNDS = 3
+BARE = "mujoco.rollout"
+
+
+def rollouts(
+    *,
+    task: str = "rope_dragging",
+    batches: tuple[int, ...] = (64, 1024),
+    engines: tuple[str, ...] = (),
+    json: bool = False,
+    out: Path = Path("results/simulation"),
+) -> None:
+    """Measure physics steps and transitions per second of every engine; write results/simulation.
+
+    The engines take turns. Warp runs on a CPU for the smallest batch only: there it is made for testing.
+
+    Args:
+        task: rope_dragging or dual_gripper.
+        batches: numbers of elements.
+        engines: some of mujoco, mjx and warp; all that this machine has by default.
+        json: print the rows as JSON instead of a table.
+        out: the folder of summary.json.
+
+    Raises:
+        ValueError: for an unknown task or engine, or a batch below 1.
+    """
+    the_task = make_task(task)
+    engines = engines or available_engines()
+    for engine in engines:
+        if engine not in available_engines():
+            raise ValueError(f"engine {engine!r} is not here, only {', '.join(available_engines())}")
+    if min(batches, default=0) < 1:
+        raise ValueError(f"batches are {batches}, expected one or more numbers of at least 1")
+    console, rows, compile_s = Console(stderr=True), [], {}
+    for contact in (False, True):
+        console.print(f"{task}: states {'in contact' if contact else 'in free motion'}")
+        states, actions = sampled_states(the_task, contact, max(batches))
+        for batch in batches:
+            part = jax.tree.map(lambda leaf, b=batch: leaf[:b], (states, actions))
+            rates = measure(the_task, engines, *part, slow_engines=batch == min(batches), compiled=compile_s)
+            tags = {"task": task, "batch": batch, "contact": contact}
+            for engine, samples in rates.items():
+                best, worst = max(samples), min(samples)
+                per = the_task.scene.substeps
+                own = tags | {"engine": engine}
+                rows.append(row("steps_per_s", own, best, "1/s", worst, best, len(samples)))
+                rows.append(row("transitions_per_s", own, best / per, "1/s", worst / per, best / per))
+            if "mjx" in rates:
+                rows.append(row("mjx_over_mujoco", tags, max(rates["mjx"]) / max(rates[BARE]), ""))
+            if "mujoco" in rates:
+                rows.append(row("bare_over_mujoco", tags, max(rates[BARE]) / max(rates["mujoco"]), ""))
+    rows += [row("compile_s", {"task": task, "engine": e}, s, "s") for e, s in compile_s.items()]
+    command = f"doojax bench rollouts --task {task} --batches {' '.join(map(str, batches))}"
+    write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
+    show(rows, json)
+
+
+def sampled_states(task: Task, contact: bool, count: int) -> tuple[SimState, jax.Array]:
+    """``count`` states of random trajectories, free or in contact, and the action that led to each.
+
+    Free states are those of phase one. States in contact are the last ones of phase two in which the rope or
+    a gripper is within 2 mm of an obstacle; repeated where there are fewer than ``count``.
+
+    Raises:
+        RuntimeError: if none of the random trajectories ends in contact.
+    """
+    phase = "constrained" if contact else "unconstrained"
+    simulator = task.simulator("mujoco", phase)
+    keys = jax.random.split(jax.random.key(SEED), SAMPLES)
+    start, seen = random_trajectories(task, simulator, keys, PERIODS, phase)
+    last, _ = simulator.rollout(start, seen.actions)
+    wanted = np.asarray(seen.clearance[:, -1]) < TOUCHING if contact else np.ones(SAMPLES, dtype=bool)
+    if not wanted.any():
+        raise RuntimeError(f"no random trajectory of {task.name} ended in contact")
+    chosen = np.resize(np.flatnonzero(wanted), count)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[chosen], (last, seen.actions[:, -1]))
+
+
+def measure(
+    task: Task,
+    engines: tuple[str, ...],
+    states: SimState,
+    actions: jax.Array,
+    slow_engines: bool,
+    compiled: dict[str, float],
+) -> dict[str, list[float]]:
+    """Physics steps per second of each engine in each round; also notes how long each took to compile."""
+    threads = len(os.sched_getaffinity(0))
+    runs: dict[str, Callable[[], Any]] = {BARE: bare_rollout(task.scene, states, actions, threads)}
+    for engine in engines:
+        if engine == "warp" and jax.default_backend() == "cpu" and not slow_engines:
+            continue
+        simulator = task.simulator(engine)
+        runs[engine] = lambda s=simulator: jax.block_until_ready(s.rollout(states, actions[:, None]))
+    first = {engine: seconds(run) for engine, run in runs.items()}
+    steps = actions.shape[0] * task.scene.substeps
+    rates = {engine: [] for engine in runs}
+    for _ in range(ROUNDS):
+        for engine, run in runs.items():
+            rates[engine].append(steps / seconds(run))
+    for engine in first.keys() - {BARE}:
+        compiled.setdefault(engine, max(first[engine] - steps / max(rates[engine]), 0.0))
+    return rates
+
+
+def seconds(run: Callable[[], Any]) -> float:
+    """How long one call takes."""
+    start = time.perf_counter()
+    run()
+    return time.perf_counter() - start
+
+
+def show(rows: list[Row], json: bool) -> None:
+    """Print rows as a table or as JSON."""
+    if json:
+        print(json_format.dumps([asdict(one) for one in rows], indent=1))
+        return
+    table = Table("metric", "of", "value", "unit")
+    for one in rows:
+        of = ", ".join(f"{name} {value}" for name, value in one.tags.items())
+        table.add_row(one.metric, of, f"{one.value:,.4g}", one.unit)
+    Console().print(table)

@@ -1,0 +1,38 @@
+"""MuJoCo C's own batch function and nothing around it: the peer that the engines are measured against."""
+
+import copy
+from collections.abc import Callable
+
+import jax
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+from mujoco.rollout import Rollout
+
+from doojax.simulation.build import build_model
+from doojax.simulation.layout import Layout, gripper_targets
+from doojax.simulation.scenes import Scene
+from doojax.simulation.state import SimState
+
+
+def bare_rollout(
+    scene: Scene, states: SimState, actions: Float[Array, "B G 3"], threads: int
+) -> Callable[[], np.ndarray]:
+    """A function that runs `mujoco.rollout` for one control period of B elements, all else made in advance.
+
+    It returns the states of every physics step, ``[B, S, 1 + nq + nv]``.
+    """
+    model, host = build_model(scene), jax.tree.map(np.asarray, states)
+    layout, mocap = Layout.of(scene, model), model.body_mocapid >= 0
+    models = []
+    for index in range(len(host.qpos)):
+        own = copy.copy(model)
+        own.body_pos[mocap] = host.obstacle_position[index]
+        own.body_quat[mocap] = host.obstacle_quaternion[index]
+        own.eq_active0[model.neq - len(scene.grippers) :] = host.holding[index]
+        models.append(own)
+    initial = np.concatenate([np.zeros((len(models), 1)), host.qpos, host.qvel], axis=1)
+    commands = np.asarray(actions, dtype=float)[..., : layout.gripper_qpos.shape[1]]
+    targets = gripper_targets(scene, initial[:, 1 + layout.gripper_qpos], commands, xp=np)
+    pool, data = Rollout(nthread=threads), [mujoco.MjData(model) for _ in range(threads)]
+    return lambda: pool.rollout(models, data, initial, targets)[0]
