@@ -25,7 +25,7 @@ from doojax.datasets.collect import random_trajectories
 from doojax.experiments.reports import Row, row, write_summary
 from doojax.simulation.engines import available_engines
 from doojax.simulation.engines.bare import bare_rollout
-from doojax.simulation.state import SimState
+from doojax.simulation.state import SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
 
@@ -121,15 +121,14 @@ def measure(
 ) -> dict[str, list[float]]:
     """Physics steps per second of each engine in each round; also notes how long each took to compile."""
     threads = len(os.sched_getaffinity(0))
-    batch, few = actions.shape[0], jax.tree.map(lambda leaf: leaf[:MOST_ON_C], (states, actions))
-    runs: dict[str, Callable[[], Any]] = {BARE: bare_rollout(task.scene, *few, threads)}
+    batch = actions.shape[0]
+    few_states, few_actions = jax.tree.map(lambda leaf: leaf[:MOST_ON_C], (states, actions))
+    runs: dict[str, Callable[[], Any]] = {BARE: bare_rollout(task.scene, few_states, few_actions, threads)}
     for engine in engines:
         if engine == "warp" and jax.default_backend() == "cpu" and not slow_engines:
             continue
-        own = few if engine == "mujoco" else (states, actions)
-        runs[engine] = lambda s=task.simulator(engine), own=own: jax.block_until_ready(
-            s.rollout(own[0], own[1][:, None])
-        )
+        own = (few_states, few_actions) if engine == "mujoco" else (states, actions)
+        runs[engine] = period(task.simulator(engine), *own)
     first = {engine: seconds(run) for engine, run in runs.items()}
     on_c = (BARE, "mujoco")
     steps = {e: (min(batch, MOST_ON_C) if e in on_c else batch) * task.scene.substeps for e in runs}
@@ -140,6 +139,11 @@ def measure(
     for engine in first.keys() - {BARE}:
         compiled.setdefault(engine, max(first[engine] - steps[engine] / max(rates[engine]), 0.0))
     return rates
+
+
+def period(simulator: Simulator, states: SimState, actions: jax.Array) -> Callable[[], Any]:
+    """A function that simulates one control period and waits for it."""
+    return lambda: jax.block_until_ready(simulator.rollout(states, actions[:, None]))
 
 
 def seconds(run: Callable[[], Any]) -> float:
