@@ -22,6 +22,7 @@ type Commands = Mapping[str, tuple[str | Commands, str]]
 
 BENCHMARKS: Commands = {
     "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
+    "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
     "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
     "signature": (
         "doojax.benchmarks.signature:signature",

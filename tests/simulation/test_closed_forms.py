@@ -114,6 +114,24 @@ def test_a_sliding_rope_stops_as_coulomb_says(friction):
     assert np.abs(slid / by_coulomb - 1).max() < 0.1  # the friction is a hexagon, not a circle
 
 
+@pytest.mark.parametrize("self_contact", [True, False])
+def test_a_rope_passes_through_itself_only_without_self_contact(self_contact):
+    scene = clamped_scene(12, 1e-4)
+    scene = replace(scene, rope_model=replace(scene.rope_model, self_contact=self_contact), gravity=0.0)
+    model = build_model(scene)
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.asarray(straight_states(scene, 1).qpos[0])
+    for link in (name for name in range(12) if name != 6):  # an octagon, its last links over its first ones
+        data.joint(f"rope{link}_bend_z").qpos[:] = np.pi / 4 * (1 if link > 6 else -1)
+        data.joint(f"rope{link}_bend_y").qpos[:] = 0.02 * (1 if link > 6 else -1)
+    mujoco.mj_forward(model, data)
+    across = [(i, j) for i in range(12) for j in range(i + 3, 12)]
+    touching = {tuple(sorted(model.geom_bodyid[pair])) for pair in data.contact.geom}
+    named = {tuple(sorted((model.body(f"rope{i}").id, model.body(f"rope{j}").id))) for i, j in across}
+    assert bool(touching & named) == self_contact
+    assert touching <= named
+
+
 def test_parameters_reach_every_model_of_a_batch_and_only_values_differ():
     scene = planar_scene(grippers=(Gripper(3, 1, 0.02, 10.0, 0.18),))
     longer = replace(scene.rope, length=0.4, mass=0.4)
