@@ -25,8 +25,6 @@ from doojax.topology.linking import Grid, Points, check_points, crossings, is_cl
 from doojax.topology.signatures import Signature, canonical
 from doojax.topology.skeletons import Skeleton
 
-_INFINITE = int(np.float32(np.inf).view(np.int32))  # as bits, see `crossings`
-
 
 class Grasps(eqx.Module):
     """One rope and what holds it: at most G grippers and A attachments, in shapes that do not change.
@@ -147,7 +145,7 @@ def signature(grasps: Grasps, skeleton: Skeleton, *, remove_empty: bool = True) 
     # All pieces one after another: a single long curve, some of whose segments are not to be counted.
     curve, loops = jnp.split(grid.snap(points), [sum(piece[..., 0].size for piece in pieces)], axis=1)
     loops = jnp.moveaxis(loops.reshape(3, *obstacles.shape[:2]), 1, 0)
-    numbers, bits = jax.vmap(crossings, (None, 0))(curve, loops)
+    numbers, squares = jax.vmap(crossings, (None, 0))(curve, loops)
 
     def per_loop(per_segment, reduce):
         """One value for each loop's first tether, part of the rope and second tether, each [S, L]."""
@@ -162,10 +160,10 @@ def signature(grasps: Grasps, skeleton: Skeleton, *, remove_empty: bool = True) 
 
     up, along, down = per_loop(numbers, jnp.sum)
     linked = jnp.abs(up + along - down).T
-    nearest = functools.reduce(jnp.minimum, per_loop(bits, jnp.min))
+    nearest = functools.reduce(jnp.minimum, per_loop(squares, jnp.min))
     counted = parts.is_loop & skeleton.active[:, None]
     sound = jnp.all(jax.vmap(is_closed)(obstacles))
-    margin, touching = grid.margin(jnp.min(nearest, where=counted, initial=_INFINITE), sound)
+    margin, touching = grid.margin(jnp.min(nearest, where=counted, initial=jnp.inf), sound)
 
     used = parts.is_loop
     if remove_empty:

@@ -62,11 +62,11 @@ class Grid(eqx.Module):
         return jnp.round((points - self.corner[:, None]) * (_CELLS / self.size)).astype(jnp.float32)
 
     def margin(
-        self, bits: Int[Array, ""], sound: Bool[Array, ""]
+        self, square: Float[Array, ""], sound: Bool[Array, ""]
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """Margin and `touching` from the least bits that `crossings` gave; NaN if the input is not sound."""
+        """Margin and `touching` from a squared distance in cells; NaN if the input is not sound."""
         sound = sound & (self.size > 0) & jnp.isfinite(self.size)
-        cells = jnp.where(sound, jnp.sqrt(jax.lax.bitcast_convert_type(bits, jnp.float32)), jnp.nan)
+        cells = jnp.where(sound, jnp.sqrt(square), jnp.nan)
         return cells * (self.size / _CELLS), ~(cells > TOUCHING * _CELLS)
 
 
@@ -85,8 +85,8 @@ def linking_of(first: Float[Array, "P 3"], second: Float[Array, "Q 3"]) -> Linki
         the result; its margin is NaN, and it counts as touching, if a curve is open or not finite.
     """
     grid = Grid.over(jnp.concatenate([first, second]).T)
-    numbers, bits = crossings(grid.snap(first.T), grid.snap(second.T))
-    margin, touching = grid.margin(jnp.min(bits), is_closed(first) & is_closed(second))
+    numbers, squares = crossings(grid.snap(first.T), grid.snap(second.T))
+    margin, touching = grid.margin(jnp.min(squares), is_closed(first) & is_closed(second))
     return Linking(jnp.sum(numbers), margin, touching)
 
 
@@ -159,34 +159,28 @@ def is_closed(loop: Float[Array, "P 3"]) -> Bool[Array, ""]:
 
 def crossings(
     curve: Float[Array, "3 P"], loop: Float[Array, "3 Q"]
-) -> tuple[Int[Array, "P-1"], Int[Array, "P-1"]]:
+) -> tuple[Int[Array, "P-1"], Float[Array, "P-1"]]:
     """What each segment of a polyline adds to its linking number with a loop, and how near it comes.
 
     Over the segments of a closed curve the numbers sum to the linking number. A piece that several curves
-    share needs to be looked at only once.
+    share needs to be looked at only once. Takes five bytes per pair of segments.
 
     Args:
         curve: in cells of a `Grid`; where pieces of it meet, their points must be equal.
         loop: in cells of the same grid.
 
     Returns:
-        per segment, its number, and its least squared distance from the loop as the bits of a float32. Bits
-        order non-negative floats, and XLA vectorises the minimum of integers but not that of floats, which
-        must pass on NaN.
+        per segment, its number, and its least squared distance from the loop.
     """
     count = curve.shape[1] - 1
     curve = jnp.pad(curve, ((0, 0), (0, -count % _LANES)), mode="edge")
-    own = _Segments.of(curve[:, :-1], curve[:, 1:] - curve[:, :-1])
-
-    def add(total, start_and_step):
-        other = _Segments.of(*start_and_step)
-        bits = jax.lax.bitcast_convert_type(_squared_distance(own, other), jnp.int32)
-        return (total[0] + _crossing(own, other), jnp.minimum(total[1], bits)), None
-
-    zero = jnp.zeros(curve.shape[1] - 1, jnp.int32)
-    loop_segments = loop[:, :-1].T, (loop[:, 1:] - loop[:, :-1]).T
-    (numbers, bits), _ = jax.lax.scan(add, (zero, zero + jnp.iinfo(jnp.int32).max), loop_segments)
-    return numbers[:count], bits[:count]
+    own = _Segments.of(curve[:, None, :-1], (curve[:, 1:] - curve[:, :-1])[:, None])
+    other = _Segments.of(loop[:, :-1, None], (loop[:, 1:] - loop[:, :-1])[..., None])
+    # Without the barrier XLA computes the pairs inside of the two reductions, which vectorises them badly.
+    numbers, squares = jax.lax.optimization_barrier(
+        (_crossing(own, other).astype(jnp.int8), _squared_distance(own, other))
+    )
+    return jnp.sum(numbers, axis=0, dtype=jnp.int32)[:count], jnp.min(squares, axis=0)[:count]
 
 
 class _Segments(eqx.Module):
@@ -269,7 +263,7 @@ def _inverse_square(v):
 
 
 def _held(x):
-    """x, held between 0 and 1; NaN becomes 1. Passing it on, like `jnp.clip`, takes XLA longer."""
+    """x, held between 0 and 1; NaN becomes 1. Passing it on, as `jnp.clip` does, takes XLA longer."""
     x = jnp.where(x < 1, x, 1)
     return jnp.where(x > 0, x, 0)
 
