@@ -93,6 +93,7 @@ def _set_options(spec: mujoco.MjSpec, scene: Scene) -> None:
     option, solver = spec.option, scene.solver
     option.timestep = scene.timestep
     option.gravity = [0, 0, -scene.gravity]
+    option.viscosity = scene.viscosity
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     # explicit damping: constraint forces are solved for in the same inertia that they act on, and one
     # factorisation a step is saved; doojax.simulation.rope keeps its joints stable

@@ -85,6 +85,7 @@ class Scene:
     timestep: float = 0.004  # s
     substeps: int = 250  # physics steps in a control period
     gravity: float = 9.81  # m/s^2
+    viscosity: float = 0.0  # of the medium, Pa s: drag that stands for all that calms a swinging rope
     solver: SolverSettings = field(default_factory=SolverSettings)
 
     def __post_init__(self):
