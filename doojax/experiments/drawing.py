@@ -60,7 +60,13 @@ class Drawing(Protocol):
         width: float,
         colours: Colour | Colours,
     ) -> None:
-        """Straight segments, ``width`` pixels wide: for many thousands, such as a tree's edges."""
+        """Straight segments, ``width`` pixels wide: curves, ways, what belongs together."""
+        ...
+
+    def cones(
+        self, name: str, segments: Float[np.ndarray, "K 2 3"], *, radius: float, colours: Colour | Colours
+    ) -> None:
+        """Slender cones, each with its base at its segment's start: one object for all edges of a tree."""
         ...
 
     def obstacles(self, name: str, obstacles: Obstacles, *, colour: Colour, opacity: float = 1.0) -> None:
@@ -100,6 +106,9 @@ class NullDrawing:
         """Nothing."""
 
     def lines(self, name, segments, *, width, colours) -> None:
+        """Nothing."""
+
+    def cones(self, name, segments, *, radius, colours) -> None:
         """Nothing."""
 
     def obstacles(self, name, obstacles, *, colour, opacity=1.0) -> None:

@@ -24,6 +24,7 @@ from doojax.simulation.scenes import Scene
 from doojax.types import Obstacles
 
 VERSION = 1
+GridKind = Literal["distance", "occupancy"]
 EventKind = Literal["plan", "execute", "recover", "replan", "end"]
 
 
@@ -50,11 +51,25 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Values on regular grids that a model saw, such as signed distances: one for all or one each."""
+    """Values on regular grids that a model saw: one grid for all predictions or one for each."""
 
     values: Float[np.ndarray, "F X Y Z"]  # metres for distances, 0 to 1 for occupancy
     origin: Float[np.ndarray, "F 3"]  # centre of the voxel [0, 0, 0]
     spacing: float  # between the centres of two voxels
+    kind: GridKind = "distance"  # signed, negative inside
+
+    def __post_init__(self):
+        """Refuse unknown kinds and arrays that do not fit together."""
+        if self.kind not in get_args(GridKind):
+            raise ValueError(
+                f"a grid's kind is {self.kind!r}, expected one of {', '.join(get_args(GridKind))}"
+            )
+        _expect("origin", self.origin, (len(self.values), 3))
+
+    @property
+    def inside(self) -> Bool[np.ndarray, "F X Y Z"]:
+        """The voxels that an obstacle fills."""
+        return self.values > 0.5 if self.kind == "occupancy" else self.values < 0
 
 
 @dataclass(frozen=True, eq=False)

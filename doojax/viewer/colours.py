@@ -6,7 +6,7 @@ from jaxtyping import Float, UInt8
 from doojax.experiments.drawing import Colour
 
 ROPE: Colour = (213, 94, 0)
-GRIPPER: Colour = (38, 42, 50)
+GRIPPER: Colour = (12, 12, 16)
 OBSTACLE: Colour = (139, 152, 173)
 TABLE: Colour = (196, 178, 152)  # what is far wider than high: something to put things on
 GOAL: Colour = (0, 158, 115)
@@ -14,6 +14,8 @@ PREDICTION: Colour = (120, 81, 169)
 CHOSEN: Colour = (0, 114, 178)
 EXECUTED: Colour = (213, 94, 0)
 REJECTED: Colour = (204, 121, 167)
+RECOVERY: Colour = (240, 200, 0)
+INSIDE: Colour = (20, 60, 150)  # an obstacle, in what a model saw
 FLOOR: Colour = (244, 245, 247)
 INK: Colour = (33, 37, 41)
 PALE_INK: Colour = (110, 118, 128)
@@ -34,15 +36,15 @@ _VIRIDIS = [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144,
 _VIRIDIS += [(39, 173, 129), (92, 200, 99), (170, 220, 50), (253, 231, 37)]
 _TIME = [(254, 217, 118), (253, 174, 82), (244, 122, 40), (213, 77, 10), (138, 32, 12)]
 _ERROR = [(44, 123, 182), (120, 190, 200), (245, 220, 120), (240, 140, 60), (200, 20, 40)]
-_SIGNED = [(33, 60, 140), (120, 160, 210), (248, 248, 246), (240, 190, 130), (200, 110, 30)]
-SCALES = {"viridis": _VIRIDIS, "time": _TIME, "error": _ERROR, "signed": _SIGNED}
+_FADING = [(170, 80, 20), (225, 165, 110), (244, 240, 235)]
+SCALES = {"viridis": _VIRIDIS, "time": _TIME, "error": _ERROR, "fading": _FADING}
 
 
 def scale(name: str, values: Float[np.ndarray, "*k"]) -> UInt8[np.ndarray, "*k 3"]:
     """Colours of ``values`` between 0 and 1, clipped; grey where a value is missing.
 
     Args:
-        name: viridis; time (pale to dark); error (blue to red); signed (blue below a half, brown above).
+        name: viridis; time (pale to dark); error (blue to red); fading (brown to the floor's colour).
         values: any shape.
     """
     anchors = np.array(SCALES[name], dtype=float)

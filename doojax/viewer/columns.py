@@ -1,13 +1,23 @@
 """Numbers by which the trajectories of a data set are filtered and sorted."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from doojax.datasets import Dataset
 
-REDUCTIONS = {"max": np.nanmax, "min": np.nanmin, "mean": np.nanmean}
+REDUCTIONS = {"greatest": np.nanmax, "least": np.nanmin, "mean": np.nanmean}
+UNITS = {"stretch": ("%", 100.0), "clearance": ("mm", 1000.0)}  # for the eye: unit, factor to it
+
+
+class Column(NamedTuple):
+    """How a column is made of a stored field."""
+
+    field: str
+    reduction: str  # "" for a field of one number per trajectory
+    factor: float
 
 
 class Columns:
@@ -21,26 +31,39 @@ class Columns:
         self._dataset = dataset
         self._on_problem = on_problem
         self._found: dict[str, np.ndarray] = {}
-        self.names = tuple(_names(dataset))
+        self._columns: dict[str, Column] = {}
+        for name, field in dataset.fields.items():
+            label, factor = shown_as(name)
+            if name == "faults":
+                self._columns["any fault"] = Column(name, "any", 1.0)
+            elif name in curves(dataset):
+                for reduction in REDUCTIONS:
+                    self._columns[f"{reduction} {label}"] = Column(name, reduction, factor)
+            elif field.shape == ():
+                self._columns[label] = Column(name, "", factor)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the columns are called, units included."""
+        return tuple(self._columns)
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "n"]:
         """The values of a column; NaN where a trajectory has none or its shard is damaged.
 
         Raises KeyError for a name that is not among ``names``.
         """
-        if name not in self.names:
+        if name not in self._columns:
             raise KeyError(f"there is no column {name!r}, only {', '.join(self.names)}")
         if name not in self._found:
-            self._found[name] = self._read(name)
+            self._found[name] = self._read(self._columns[name])
         return self._found[name]
 
-    def _read(self, name: str) -> Float[np.ndarray, "n"]:
-        field, _, reduction = name.partition(" ")
+    def _read(self, column: Column) -> Float[np.ndarray, "n"]:
         parts, problems = [], []
         for shard in self._dataset.shards:
             try:
-                values = self._dataset.read_shard(shard, [field])[field]
-                parts.append(_reduced(values, reduction))
+                values = self._dataset.read_shard(shard, [column.field])[column.field]
+                parts.append(column.factor * _reduced(values, column.reduction))
             except ValueError as error:
                 parts.append(np.full(len(self._dataset.manifest.rows(shard)), np.nan))
                 problems.append(str(error))
@@ -49,19 +72,17 @@ class Columns:
         return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def _names(dataset: Dataset) -> Iterator[str]:
-    for name, field in dataset.fields.items():
-        if name == "faults":
-            yield "faults any"
-        elif len(field.shape) == 1 and _along_time(dataset, field.shape[0]):
-            yield from (f"{name} {reduction}" for reduction in REDUCTIONS)
-        elif field.shape == ():
-            yield name
-
-
-def _along_time(dataset: Dataset, length: int) -> bool:
+def curves(dataset: Dataset) -> list[str]:
+    """The fields with one number for each state or each action, faults aside."""
     states = dataset.fields["points"].shape[0]
-    return length in (states, states - 1)
+    along_time = [(states,), (states - 1,)]
+    return [name for name, field in dataset.fields.items() if field.shape in along_time and name != "faults"]
+
+
+def shown_as(field: str) -> tuple[str, float]:
+    """What a field is called where it is shown, and the factor to its unit there."""
+    unit, factor = UNITS.get(field, ("", 1.0))
+    return f"{field.replace('_', ' ')}, {unit}" if unit else field.replace("_", " "), factor
 
 
 def _reduced(values: np.ndarray, reduction: str) -> Float[np.ndarray, "k"]:
@@ -80,12 +101,12 @@ def _reduced(values: np.ndarray, reduction: str) -> Float[np.ndarray, "k"]:
 def select(
     values: Float[np.ndarray, "n"], low: float | None, high: float | None, order: str
 ) -> Int[np.ndarray, "k"]:
-    """The trajectories whose value lies from ``low`` to ``high``, in an order.
+    """The items whose value lies from ``low`` to ``high``, in an order.
 
     Args:
-        values: one for each trajectory.
-        low: least value that is let through; None lets everything through, missing values too.
-        high: greatest value.
+        values: one for each item.
+        low: least value that is let through.
+        high: greatest value; if both are None everything is let through, missing values too.
         order: "as stored", "ascending" or "descending"; missing values come last.
     """
     chosen = np.ones(len(values), dtype=bool)

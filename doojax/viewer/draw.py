@@ -125,6 +125,34 @@ class SceneDrawing:
         )
         self._keep(name, handle)
 
+    def cones(
+        self, name: str, segments: Float[np.ndarray, "K 2 3"], *, radius: float, colours: Colours
+    ) -> None:
+        """See `Drawing.cones`; one batched mesh, because tens of thousands of lines are slower to draw."""
+        segments = np.asarray(segments, dtype=np.float32)
+        each = np.broadcast_to(np.asarray(colours, dtype=np.uint8), (len(segments), 3))
+        lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
+        known = np.isfinite(lengths) & (lengths > 0)
+        segments, each, lengths = segments[known], each[known], lengths[known]
+        self.remove(name)
+        if not len(segments):
+            return
+        vertices, faces = shapes.cone()
+        handle = self._scene.add_batched_meshes_simple(
+            self._path(name),
+            vertices,
+            faces,
+            shapes.turns_from_z((segments[:, 1] - segments[:, 0]) / lengths[:, None]),
+            segments[:, 0],
+            batched_scales=np.stack([np.full_like(lengths, radius)] * 2 + [lengths], axis=1),
+            batched_colors=each,
+            flat_shading=True,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._keep(name, handle)
+
     def obstacles(self, name: str, obstacles: Obstacles, *, colour: Colour, opacity: float = 1.0) -> None:
         """See `Drawing.obstacles`; a table top is drawn in its own colour."""
         kind, centre, half_size, active = (

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from doojax.datasets import Dataset
-from doojax.experiments.records import Look
+from doojax.experiments.records import Look, PredictionRecord, TrialRecord
 from doojax.tasks import TASKS, make_task
 from doojax.types import Obstacles, ShapeKind
 from doojax.viewer import shapes
@@ -99,6 +99,19 @@ def episode(dataset: Dataset, index: int) -> Episode:
         look=look,
         period=period,
     )
+
+
+def episode_of(record: PredictionRecord | TrialRecord) -> Episode:
+    """What happened, of a record."""
+    return Episode(record.points, record.grippers, record.obstacles, record.look, record.period)
+
+
+def title(dataset: Dataset) -> str:
+    """Task, phase, engine and seed, as far as the config tells."""
+    config = dataset.config
+    parts = [str(config.get("task", dataset.path.name)).replace("_", " ")]
+    parts += [str(config[key]) for key in ("phase", "engine") if key in config]
+    return " · ".join(parts + ([f"seed {config['seed']}"] if "seed" in config else []))
 
 
 def obstacles_of(dataset: Dataset, index: int) -> Obstacles:

@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
+from scipy.spatial import KDTree
 
 from doojax.datasets import DatasetWriter, Field
 from doojax.experiments.records import Event, Grid, Look, PlanRecord, PredictionRecord, TrialRecord
@@ -16,6 +18,8 @@ LOOK = Look(rope_radius=RADIUS, rope_end=PITCH / 2, gripper_radius=0.02)
 BOXES = 4
 STATES = 30
 STEP = 0.06  # m, the longest move of the gripper
+ARENA = 1.0  # m from the middle to its edge
+BLOCK = 256  # extensions of a tree at once
 
 
 def tow(
@@ -151,31 +155,45 @@ def prediction_record(*, seed: int = 0, predictions: int = 5, horizon: int = 10)
     )
 
 
+@jax.jit
+def clear(obstacles: Obstacles, ropes: Float[Array, "K N 3"]) -> Bool[Array, "K"]:
+    """Which ropes touch no obstacle and stay in the arena."""
+    inside = (jnp.abs(ropes[..., :2]) < ARENA).all((1, 2))
+    return (signed_distance(obstacles, ropes) > RADIUS).all(-1) & inside
+
+
 def plan_record(
     nodes: int,
     generator: np.random.Generator,
+    obstacles: Obstacles,
     root: Float[np.ndarray, "N 3"],
-    goal: Float[np.ndarray, "3"],
     step: int,
+    goal: Float[np.ndarray, "3"] | None = None,
 ) -> PlanRecord:
-    """A random tree from a rope; its path leads to the node nearest to the goal."""
+    """A tree that explores the arena from a rope, and the path to the node whose tail is nearest to a goal.
+
+    Without a goal the path leads to the node whose tail is farthest from the root's.
+    """
     parent, accepted = np.full(nodes, -1), np.ones(nodes, dtype=bool)
     ropes = np.empty((nodes, POINTS, 3), dtype=np.float32)
     ropes[0] = root
     done = 1
-    while done < nodes:  # grown in blocks, each of which extends what the ones before left
-        count = min(max(done // 2, 8), nodes - done)
+    while done < nodes:
+        count = min(max(done // 8, 8), BLOCK, nodes - done)
+        target = np.append(generator.uniform(-ARENA, ARENA, (BLOCK, 2)), np.full((BLOCK, 1), RADIUS), axis=1)
         usable = np.flatnonzero(accepted[:done])
-        chosen = generator.choice(usable, count)
-        angle = generator.uniform(0, 2 * np.pi, count)
-        move = STEP * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+        nearest = usable[KDTree(ropes[usable, -1]).query(target)[1]]
+        way = target - ropes[nearest, -1]
+        way *= np.minimum(1, STEP / np.linalg.norm(way, axis=-1, keepdims=True))
+        moved = tow(ropes[nearest], ropes[nearest, -1] + way)
         block = slice(done, done + count)
-        ropes[block] = tow(ropes[chosen], ropes[chosen, -1] + move)
-        parent[block] = chosen
-        accepted[block] = (generator.random(count) > 0.25) & (np.abs(ropes[block, -1, :2]).max(-1) < 1.0)
+        ropes[block], parent[block] = moved[:count], nearest[:count]
+        accepted[block] = np.asarray(clear(obstacles, jnp.array(moved)))[:count]
         done += count
-    distance = np.where(accepted, np.linalg.norm(ropes[:, 0] - goal, axis=-1), np.inf)
-    path = [int(np.argmin(distance))]
+    aim = root[0] if goal is None else goal
+    distance = np.linalg.norm(ropes[:, 0] - aim, axis=-1)
+    wanted = np.where(accepted, distance if goal is None else -distance, -np.inf)
+    path = [int(np.argmax(wanted))]
     while parent[path[-1]] >= 0:
         path.append(int(parent[path[-1]]))
     score = np.where(accepted, generator.uniform(0.5, 1, nodes), generator.uniform(0, 0.5, nodes))
@@ -190,18 +208,20 @@ def plan_record(
     )
 
 
-def trial_record(*, seed: int = 0, nodes: int = 600) -> TrialRecord:
+def trial_record(*, seed: int = 0, nodes: int = 1500) -> TrialRecord:
     """Two plans: the first is left, there is a recovery, and the second is executed."""
     generator = np.random.default_rng(seed)
     obstacles = boxes(generator)
-    goal = np.array([0.55, -0.35, RADIUS])
-    first = plan_record(nodes, generator, straight(1, generator)[0], goal, 0)
-    executed = list(first.points[first.path[: max(len(first.path) // 2, 2)]])
+    starts = straight(32, generator)
+    start = starts[np.argmax(np.asarray(clear(obstacles, jnp.array(starts))))].astype(np.float32)
+    first = plan_record(nodes, generator, obstacles, start, 0)
+    goal = first.points[first.path[-1], 0].astype(np.float64)
+    executed = list(first.points[first.path[: max(len(first.path) // 3, 2)]])
     stuck = len(executed) - 1
     for _ in range(2):
-        executed.append(tow(executed[-1], executed[-1][-1] + [0.0, STEP, 0.0]).astype(np.float32))
+        executed.append(tow(executed[-1], 2 * executed[-1][-1] - executed[-2][-1]).astype(np.float32))
     again = len(executed) - 1
-    second = plan_record(nodes, generator, executed[-1], goal, again)
+    second = plan_record(nodes, generator, obstacles, executed[-1], again, goal)
     executed += list(second.points[second.path[1:]])
     ropes = np.stack(executed)
     last = len(ropes) - 1
@@ -209,12 +229,15 @@ def trial_record(*, seed: int = 0, nodes: int = 600) -> TrialRecord:
     radius = 0.05
     reached = distance < radius
     end = "goal reached" if reached else f"plan executed, tail {100 * distance:.0f} cm from the goal"
+    accepted = [plan.accepted.sum() - 1 for plan in (first, second)]
+    counts = [f"solved: {count:,} of {nodes - 1:,} extensions accepted" for count in accepted]
     events = (
-        Event(0, "plan", f"{nodes} nodes"),
-        Event(0, "execute", f"{len(first.path) - 1} steps"),
-        Event(stuck, "recover", "the rope is not where it was predicted"),
-        Event(again, "replan", f"{nodes} nodes"),
-        Event(again, "execute", f"{len(second.path) - 1} steps"),
+        Event(0, "plan", counts[0]),
+        Event(0, "execute", f"{len(first.path) - 1} actions"),
+        Event(stuck, "replan", "7.1 cm from where the plan had the rope"),
+        Event(stuck, "recover", "nothing that was tried is reliable"),
+        Event(again, "plan", counts[1]),
+        Event(again, "execute", f"{len(second.path) - 1} actions"),
         Event(last, "end", end),
     )
     return TrialRecord(

@@ -15,11 +15,13 @@ from rich.markup import escape
 
 from doojax.viewer import colours
 from doojax.viewer.draw import SceneDrawing
-from doojax.viewer.pictures import camera_on
+from doojax.viewer.pictures import FROM_SIDE, camera_from
 
 EXPECTED = (ValueError, OSError, IndexError, KeyError)  # bad input: reported, and the page lives on
 FIELD_OF_VIEW = 0.62  # rad, vertical
-AMBIENT = 1.3
+STEEP = np.array([0.0, -0.48, 1.0]) / np.linalg.norm([0.0, -0.48, 1.0])  # where what is flat is seen from
+AMBIENT, SUN = 1.2, 2.2  # of viser's lights
+TOWARDS_SUN = (-0.6, -1.0, 2.2)
 
 
 class Server(viser.ViserServer):
@@ -28,6 +30,11 @@ class Server(viser.ViserServer):
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refused: data are shown only on the address that the server is bound to."""
         return None
+
+    def stop(self) -> None:
+        """Stop serving, without viser's farewell."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            super().stop()
 
 
 def start_server(host: str, port: int) -> Server:
@@ -74,14 +81,18 @@ class Page:
         """Take everything away."""
         with self.lock:
             self.server.gui.reset()
-            self.server.scene.reset()
-            self.server.scene.set_up_direction("+z")
-            self.server.scene.configure_environment_map(hdri=None)  # which would bleach all colours
-            self.server.scene.add_light_ambient("/light", intensity=AMBIENT)
+            scene = self.server.scene
+            scene.reset()
+            scene.set_up_direction("+z")
+            scene.configure_environment_map(hdri=None)  # which would bleach all colours
+            scene.configure_default_lights(False)  # their shadows take longer to draw than all else
+            scene.add_light_ambient("/light", intensity=AMBIENT)
+            scene.add_light_directional("/sun", intensity=SUN, position=TOWARDS_SUN)
             self.server.gui.set_panel_label("doojax")
             self.server.gui.main_panel.dock_right()
-            self.drawing = SceneDrawing(self.server.scene)
+            self.drawing = SceneDrawing(scene)
             self.message = self.server.gui.add_markdown("", visible=False)
+            self.warning = self.server.gui.add_markdown("", visible=False)
 
     def calling(self, action: Callable[[], None]) -> Callable[[object], None]:
         """``action`` as a callback: alone, sent to the page in one piece, its errors shown."""
@@ -106,22 +117,29 @@ class Page:
         self.server.gui.add_command(text, hotkey=key).on_trigger(self.calling(action))
 
     def report(self, error: Exception | str) -> None:
-        """Say in the page and on the terminal what is wrong."""
-        text = str(error.args[0]) if isinstance(error, KeyError) else str(error)
-        self._console.print(f"[yellow]doojax view: {escape(text)}[/]", highlight=False)
-        self.message.content = "\n".join(f"> **{line}**  " for line in text.splitlines())
-        self.message.visible = True
+        """Say in the page and on the terminal what is wrong, until `quiet`."""
+        self._say(self.message, str(error.args[0]) if isinstance(error, KeyError) else str(error))
 
     def quiet(self) -> None:
         """Take the last message away: it no longer holds."""
         self.message.visible = False
+
+    def warn(self, text: str) -> None:
+        """Say in the page and on the terminal what holds for as long as this content is shown."""
+        self._say(self.warning, text)
+
+    def _say(self, place: viser.GuiMarkdownHandle, text: str) -> None:
+        self._console.print(f"[yellow]doojax view: {escape(text)}[/]", highlight=False)
+        place.content = "\n".join(f"> **{line}**  " for line in text.splitlines())
+        place.visible = True
 
     def stage(self, corners: Float[np.ndarray, "K 3"], floor: float | None, from_above: bool) -> None:
         """Floor (height, m), axes and camera for something that reaches around all of some points."""
         low, high = corners.min(0), corners.max(0)
         height = float(low[2]) if floor is None else floor
         size, middle = np.ceil((high - low)[:2] + 1), ((low + high) / 2)[:2]
-        self.server.scene.add_grid(
+        scene = self.server.scene
+        scene.add_grid(
             "/floor",
             width=float(size[0]),
             height=float(size[1]),
@@ -131,26 +149,19 @@ class Page:
             section_color=(203, 208, 216),
             plane_color=colours.FLOOR,
             plane_opacity=1.0,
-            shadow_opacity=0.18,
             position=(float(middle[0]), float(middle[1]), height - 0.001),
         )
         corner = np.array([*(low[:2] - 0.15), height])
         self.drawing.axes("axes", corner, np.array([1.0, 0.0, 0.0, 0.0]), length=0.15)
-        self.look_at(corners, from_above)
+        self.look_at(np.append(corners, corner[None], axis=0), from_above)
 
     def look_at(self, corners: Float[np.ndarray, "K 3"], from_above: bool) -> None:
         """Have everybody see all of some points, and those who come later too."""
-        wide, high = 880, 800  # of a page of 1280 x 800 beside the controls
-        low_corner, high_corner = corners.min(0), corners.max(0)
-        target = (low_corner + high_corner) / 2
-        side = camera_on(corners, False, wide, high, margin=1.15)
-        if from_above:
-            reach = 1.25 * float(np.linalg.norm((high_corner - low_corner)[:2])) / 2
-            eye = target + np.array([0.0, -0.55, 1.0]) * reach / np.tan(FIELD_OF_VIEW / 2) / 1.3
-        else:
-            eye = side.eye
-            target = eye + side.axes[2] * float(np.linalg.norm(target - eye))
-        self._camera = np.asarray(eye, dtype=float), np.asarray(target, dtype=float)
+        # for a page of 1280 x 800, beside the controls
+        camera = camera_from(STEEP if from_above else FROM_SIDE, corners, 880, 800, margin=1.12)
+        middle = (corners.min(0) + corners.max(0)) / 2
+        ahead = camera.axes[2] * float(np.linalg.norm(middle - camera.eye))
+        self._camera = camera.eye.astype(float), (camera.eye + ahead).astype(float)
         self.server.initial_camera.position = self._camera[0]
         self.server.initial_camera.look_at = self._camera[1]
         self.fit_view()

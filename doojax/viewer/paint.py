@@ -145,6 +145,17 @@ class Painting:
         places = start + along[:, None].astype(np.float32) * (end - start)
         self._marks[name] = (places, each[which], max(1, round(width * OVERSAMPLING)))
 
+    def cones(
+        self,
+        name: str,
+        segments: Float[np.ndarray, "K 2 3"],
+        *,
+        radius: float,
+        colours: Colour | UInt8[np.ndarray, "K 3"],
+    ) -> None:
+        """See `Drawing.cones`; too slender for their shape to be seen."""
+        self.lines(name, segments, width=1.0, colours=colours)
+
     def obstacles(self, name: str, obstacles: Obstacles, *, colour: Colour, opacity: float = 1.0) -> None:
         """See `Drawing.obstacles`; a table top is drawn in its own colour."""
         self.remove(name)

@@ -1,5 +1,6 @@
-"""Pictures and animations of data sets, made without a browser."""
+"""Pictures and animations, made without a browser."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -9,13 +10,14 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from doojax.datasets import Dataset
-from doojax.experiments.records import Look
 from doojax.viewer import colours
-from doojax.viewer.episodes import Episode, episode, require_rope
+from doojax.viewer.episodes import Episode, episode, require_rope, title
+from doojax.viewer.films import Film
 from doojax.viewer.paint import Painting, Pixels, font
 from doojax.viewer.raycast import Camera
+from doojax.viewer.show import gripper_radius
 
-FROM_ABOVE = np.array([0.0, 0.0, 1.0])
+UP = np.array([0.0, 0.0, 1.0])
 FROM_SIDE = np.array([0.80, -0.50, 0.48]) / np.linalg.norm([0.80, -0.50, 0.48])
 MARGIN = 1.08  # of a picture's span to that of its contents
 GHOSTS = 5  # earlier states shown in a still picture
@@ -66,27 +68,11 @@ def contact_sheet(dataset: Dataset, indices: Sequence[int], path: Path | str) ->
     sheet.save(path, optimize=True)
 
 
-def animate(dataset: Dataset, index: int, path: Path | str) -> None:
-    """A GIF or MP4 of one trajectory, several times faster than it happened.
-
-    Args:
-        dataset: any data set with ropes.
-        index: of the trajectory.
-        path: the file to write, ending in .gif or .mp4.
-
-    Raises:
-        ValueError: for a data set without ropes, a damaged chunk file (named), or another ending.
-        IndexError: for an index outside of the data set.
-    """
-    require_rope(dataset)
-    shown = episode(dataset, index)
-    caption = f"{title(dataset)}   #{dataset.rows[index]}"
-    write_frames(path, _frames(shown, caption))
-
-
 def still(shown: Episode, width: int, height: int) -> Pixels:
     """One picture of all of a trajectory: earlier ropes pale, the last dark, and the grippers' ways."""
-    painting = painting_of(shown, width, height)
+    painting = painting_of(shown.corners(), shown.look.floor, shown.planar, width, height)
+    painting.obstacles("obstacles", shown.obstacles, colour=colours.OBSTACLE)
+    painting.settle()
     known = np.flatnonzero(shown.finite)
     if known.size:
         chosen = known[np.unique(np.linspace(0, known.size - 1, GHOSTS + 1).astype(int))]
@@ -103,42 +89,84 @@ def still(shown: Episode, width: int, height: int) -> Pixels:
     return painting.image()
 
 
-def painting_of(shown: Episode, width: int, height: int) -> Painting:
-    """An empty picture of a trajectory's surroundings, from above if everything moves in a plane."""
-    corners = shown.corners()
+def animate(film: Film, path: Path | str) -> None:
+    """A GIF or MP4 of a film, several times faster than it happened; frame by frame, as large as a page.
+
+    Raises:
+        ValueError: for an ending that is neither .gif nor .mp4.
+    """
+    path = Path(path)
+    if path.suffix == ".gif":
+        pictures = [Image.fromarray(frame).quantize(96, dither=Image.Dither.NONE) for frame in frames(film)]
+        duration = [1000 // FRAMES_PER_SECOND] * (len(pictures) - 1) + [1200]
+        pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+    elif path.suffix == ".mp4":
+        stack = np.stack(list(frames(film)))
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "os.fork")  # the child runs ffmpeg at once, and no JAX
+            imageio.imwrite(
+                path, stack, plugin="FFMPEG", fps=FRAMES_PER_SECOND, codec="libx264", macro_block_size=2
+            )
+    else:
+        raise ValueError(f"an animation is a .gif or .mp4 file, got {path}")
+
+
+def frames(film: Film, moments: Sequence[float] | None = None) -> Iterator[Pixels]:
+    """Pictures of a film at some moments (in states); by default, all that an animation needs."""
+    last = film.states - 1
+    wide, high = SQUARE_FRAME if film.planar else WIDE_FRAME
+    painting = painting_of(film.corners, film.floor, film.planar, wide, high)
+    film.set_up(painting)
+    painting.settle()
+    for moment in np.linspace(0, last, last * BETWEEN_STATES + 1) if moments is None else moments:
+        film.show(painting, float(moment))
+        yield framed(painting.image(), film.title, float(moment) * film.period, last * film.period)
+
+
+def painting_of(
+    corners: Float[np.ndarray, "K 3"], floor: float | None, planar: bool, width: int, height: int
+) -> Painting:
+    """An empty picture around some points, from above if everything moves in a plane."""
     low, high = corners.min(0), corners.max(0)
-    floor = shown.look.floor
     if floor is not None and low[2] > floor + FLOOR_REACH:
         floor = None
-    painting = Painting(camera_on(corners, shown.planar, width, height), low, high, floor)
-    painting.obstacles("obstacles", shown.obstacles, colour=colours.OBSTACLE)
-    painting.settle()
-    return painting
+    camera = (
+        camera_above(corners, width, height) if planar else camera_from(FROM_SIDE, corners, width, height)
+    )
+    return Painting(camera, low, high, floor)
 
 
-def camera_on(
-    corners: Float[np.ndarray, "K 3"], from_above: bool, width: int, height: int, margin: float = MARGIN
+def camera_above(corners: Float[np.ndarray, "K 3"], width: int, height: int) -> Camera:
+    """A parallel view from above that has all of some points in its picture, as large as it can."""
+    low, high = corners.min(0), corners.max(0)
+    middle, extent = (low + high) / 2, high - low
+    span = MARGIN * max(extent[1], extent[0] * height / width)
+    return Camera.looking(middle + 5 * UP, middle, np.array([0.0, 1.0, 0.0]), width, height, span)
+
+
+def camera_from(
+    direction: Float[np.ndarray, "3"],
+    corners: Float[np.ndarray, "K 3"],
+    width: int,
+    height: int,
+    margin: float = MARGIN,
 ) -> Camera:
-    """A camera that has all of some points in its picture, as large as it can."""
+    """A camera in some direction that has all of some points in its picture, as large as it can."""
     low, high = corners.min(0), corners.max(0)
     middle = (low + high) / 2
-    if from_above:
-        extent = high - low
-        span = margin * max(extent[1], extent[0] * height / width)
-        return Camera.looking(middle + 5 * FROM_ABOVE, middle, np.array([0.0, 1.0, 0.0]), width, height, span)
     distance = 2 * float(np.linalg.norm(high - low))
 
-    def beside() -> Camera:
-        return Camera.looking(middle + distance * FROM_SIDE, middle, FROM_ABOVE, width, height, None)
+    def at() -> Camera:
+        return Camera.looking(middle + distance * direction, middle, UP, width, height, None)
 
     for _ in range(12):  # centre and fit in turns: perspective ties the two together
-        camera = beside()
+        camera = at()
         column, row, depth = camera.project(corners)
         right, down = (column.min() + column.max()) / 2 - width / 2, (row.min() + row.max()) / 2 - height / 2
         metres = float(np.median(depth)) / camera.scale
         middle = middle + metres * (right * camera.axes[0] - down * camera.axes[1])
         distance *= margin * max(float(np.ptp(column)) / width, float(np.ptp(row)) / height)
-    return beside()
+    return at()
 
 
 def draw_tracks(painting: Painting, shown: Episode, until: int) -> None:
@@ -146,42 +174,6 @@ def draw_tracks(painting: Painting, shown: Episode, until: int) -> None:
     tracks = shown.grippers[: until + 1]
     segments = np.stack([tracks[:-1], tracks[1:]], axis=2).reshape(-1, 2, 3)
     painting.lines("tracks", segments, width=1.0, colours=colours.GRIPPER)
-
-
-def gripper_radius(look: Look) -> float:
-    """Grippers are drawn a little thicker than they are, lest the rope hides them."""
-    return 1.25 * max(look.gripper_radius, look.rope_radius)
-
-
-def write_frames(path: Path | str, frames: Iterator[Pixels]) -> None:
-    """Write pictures as an animation; raises ValueError for an ending that is neither .gif nor .mp4."""
-    path = Path(path)
-    if path.suffix == ".gif":
-        pictures = [Image.fromarray(frame).quantize(96, dither=Image.Dither.NONE) for frame in frames]
-        duration = [1000 // FRAMES_PER_SECOND] * (len(pictures) - 1) + [1200]
-        pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
-    elif path.suffix == ".mp4":
-        stack = np.stack(list(frames))
-        imageio.imwrite(
-            path, stack, plugin="FFMPEG", fps=FRAMES_PER_SECOND, codec="libx264", macro_block_size=2
-        )
-    else:
-        raise ValueError(f"an animation is a .gif or .mp4 file, got {path}")
-
-
-def _frames(shown: Episode, caption: str) -> Iterator[Pixels]:
-    painting = painting_of(shown, *(SQUARE_FRAME if shown.planar else WIDE_FRAME))
-    last = len(shown.points) - 1
-    ropes = shown.ropes
-    for moment in np.linspace(0, last, last * BETWEEN_STATES + 1):
-        before, part = int(moment), moment - int(moment)
-        after = min(before + 1, last)
-        rope = (1 - part) * ropes[before] + part * ropes[after]
-        grippers = (1 - part) * shown.grippers[before] + part * shown.grippers[after]
-        painting.rope("rope", rope, radius=shown.look.rope_radius, colour=colours.ROPE)
-        painting.spheres("grippers", grippers, radius=gripper_radius(shown.look), colours=colours.GRIPPER)
-        draw_tracks(painting, shown, before)
-        yield framed(painting.image(), caption, moment * shown.period, last * shown.period)
 
 
 def framed(pixels: Pixels, caption: str, time: float, end: float) -> Pixels:
@@ -196,14 +188,6 @@ def framed(pixels: Pixels, caption: str, time: float, end: float) -> Pixels:
     pen.rectangle((0, HEADER - 4, width, HEADER - 1), (226, 229, 234))
     pen.rectangle((0, HEADER - 4, width * time / max(end, 1e-9), HEADER - 1), colours.ROPE)
     return np.asarray(frame)
-
-
-def title(dataset: Dataset) -> str:
-    """Task, phase, engine and seed, as far as the config tells."""
-    config = dataset.config
-    parts = [str(config.get("task", dataset.path.name)).replace("_", " ")]
-    parts += [str(config[key]) for key in ("phase", "engine") if key in config]
-    return " · ".join(parts + ([f"seed {config['seed']}"] if "seed" in config else []))
 
 
 def caption_of(dataset: Dataset, index: int) -> str:

@@ -15,7 +15,7 @@ SPEEDS = ("0.5", "1", "2", "4", "8", "16")  # states per second
 class Player:
     """Shows moments: whole states by slider and keys, moments between two states while playing.
 
-    Keys: space plays and pauses; left and right step; home and end jump.
+    Keys: space plays and pauses; J and L step; home and end jump. (The arrow keys turn viser's camera.)
     """
 
     def __init__(self, page: Page, show: Callable[[float], None], label: str = "State"):
@@ -31,7 +31,7 @@ class Player:
         self._last = 1
         self._moment = 0.0
         self._stopped = threading.Event()
-        self.slider = gui.add_slider(label, min=0, max=1, step=1, initial_value=0)
+        self.slider = gui.add_slider(label, min=0, max=1, step=1, initial_value=0, hint="Keys: J and L")
         self.play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="Key: space")
         self.speed = gui.add_dropdown("States per second", SPEEDS, initial_value="4")
         self.loop = gui.add_checkbox("Loop", initial_value=True)
@@ -39,8 +39,8 @@ class Player:
         self.slider.on_update(self._slid)
         self.play.on_click(page.calling(self.toggle))
         page.key("Play or pause", "space", self.toggle)
-        page.key("Next state", "arrowright", lambda: self.step(1))
-        page.key("Previous state", "arrowleft", lambda: self.step(-1))
+        page.key("Previous state", "J", lambda: self.step(-1))
+        page.key("Next state", "L", lambda: self.step(1))
         page.key("First state", "home", lambda: self.go_to(0))
         page.key("Last state", "end", lambda: self.go_to(self._last))
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)

@@ -5,31 +5,40 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from doojax.experiments.records import PredictionRecord
 from doojax.viewer import colours
-from doojax.viewer.episodes import Episode
+from doojax.viewer.episodes import episode_of
 from doojax.viewer.page import Page
 from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
-from doojax.viewer.show import WORST_ERROR, show_grid_slice, show_prediction
+from doojax.viewer.selection import Selection
+from doojax.viewer.show import WORST_ERROR, show_grid, show_prediction
 
 LEGEND = f"""orange: what happened; violet: predicted  
-points: error, blue 0 to red {100 * WORST_ERROR:.0f} cm"""
+beads: error, blue 0 to red {100 * WORST_ERROR:.0f} cm"""
+INPUTS = ("hidden", "one layer", "what obstacles fill")
 
 
 class PredictionPage:
-    """The controls and the scene of one prediction record."""
+    """The controls and the scene of one prediction record.
+
+    Raises ValueError for a record without predictions.
+    """
 
     def __init__(self, page: Page, record: PredictionRecord, name: str):
         """Show the first prediction."""
+        if not len(record.start):
+            raise ValueError(f"{name} is empty: the record holds no predictions")
         self._page, self._record = page, record
         with np.errstate(invalid="ignore"):
-            self._errors = np.sqrt((record.errors() ** 2).mean(-1))  # P H1, root mean square over the points
+            # P H1, root mean square over the points
+            self._errors = 100 * np.sqrt((record.errors() ** 2).mean(-1))
+        columns = self._columns()
         gui = page.server.gui
-        count = len(record.start)
         gui.add_markdown(f"**{record.task.replace('_', ' ')} · predictions**  \n`{name}`")
-        self._pick = gui.add_slider("Prediction", min=1, max=max(count, 2), step=1, initial_value=1)
+        self._selection = Selection(page, len(record.start), "prediction", self._load)
         self.player = Player(page, self._show, "Steps ahead")
         self._facts = gui.add_markdown("")
         gui.add_markdown(LEGEND)
@@ -37,27 +46,26 @@ class PredictionPage:
         with tabs.add_tab("Curves"):
             self._error_plot = TimePlot(gui, "error, cm (RMS over the rope's points)")
             self._score_plots = {score: TimePlot(gui, score) for score in record.scores}
+        with tabs.add_tab("Filter and sort"):
+            self._selection.add_controls(tuple(columns), columns.__getitem__, "predictions")
         if record.grid is not None:
             with tabs.add_tab("Model input"):
-                self._slice = gui.add_checkbox(
-                    "Slice", initial_value=True, hint="Signed distance, blue inside"
-                )
-                depth = record.grid.values.shape[3]
-                self._layer = gui.add_slider(
-                    "Layer", min=0, max=max(depth - 1, 1), step=1, initial_value=depth // 2
-                )
-                self._height = gui.add_markdown("")
-            for control in (self._slice, self._layer):
-                control.on_update(page.calling(self._show_slice))
+                self._input = gui.add_dropdown("Input", INPUTS, initial_value=INPUTS[1])
+                layers = record.grid.values.shape[3]
+                self._layer = gui.add_slider("Layer", min=0, max=max(layers - 1, 1), step=1, initial_value=0)
+                self._about_input = gui.add_markdown("")
+                away = record.points[..., 2].mean() - record.grid.origin[0, 2]  # at the rope's height
+                self._layer.value = int(np.clip(round(away / record.grid.spacing), 0, layers - 1))
+            for control in (self._input, self._layer):
+                control.on_update(page.calling(self._show_input))
         if record.about:
             with tabs.add_tab("About"):
                 gui.add_markdown(listed(record.about))
-        self._pick.on_update(page.calling(self._load))
-        page.key("Next prediction", "arrowdown", lambda: self._go(1))
-        page.key("Previous prediction", "arrowup", lambda: self._go(-1))
-        shown = Episode(record.points, record.grippers, record.obstacles, record.look)
+        world = episode_of(record)
+        predicted = record.predicted_points.reshape(-1, 3)
+        everywhere = np.concatenate([world.corners(), predicted[np.isfinite(predicted).all(-1)]])
         page.drawing.obstacles("obstacles", record.obstacles, colour=colours.OBSTACLE)
-        page.stage(shown.corners(), record.look.floor, shown.planar)
+        page.stage(everywhere.astype(np.float32), record.look.floor, world.planar)
         page.call(self._load)
 
     def close(self) -> None:
@@ -66,56 +74,70 @@ class PredictionPage:
 
     @property
     def _index(self) -> int:
-        return min(int(self._pick.value), len(self._record.start)) - 1
+        return int(self._selection.order[self._selection.place])
 
-    def _go(self, steps: int) -> None:
-        self._pick.value = int(np.clip(self._pick.value + steps, 1, len(self._record.start)))
+    def _columns(self) -> dict[str, Float[np.ndarray, "P"]]:
+        """What predictions are filtered and sorted by: their errors, and bounds of their scores."""
+        low, high = {}, {}
+        for name, values in {"error, cm": self._errors, **self._record.scores}.items():
+            known = np.isfinite(values)
+            some = known.any(1)
+            low[f"least {name}"] = np.where(some, np.min(values, 1, where=known, initial=np.inf), np.nan)
+            high[f"greatest {name}"] = np.where(some, np.max(values, 1, where=known, initial=-np.inf), np.nan)
+        del low["least error, cm"]  # that of the start
+        return {**high, **low}
 
     def _load(self) -> None:
-        record, index = self._record, self._index
-        if index < 0:
-            raise ValueError("the record holds no predictions")
+        record = self._record
+        if not len(self._selection.order):
+            self._page.drawing.remove("actual")
+            self._page.drawing.remove("predicted")
+            self._page.drawing.remove("input")
+            self._facts.content = "no prediction passes the filter"
+            return
+        index = self._index
         steps = np.flatnonzero(np.isfinite(record.predicted_points[index]).all((1, 2)))
         count = int(steps[-1]) + 1 if len(steps) else 1
-        self._error_plot.set({"error": 100 * self._errors[index, :count]})
+        self._error_plot.set({"error": self._errors[index, :count]})
         for name, plot in self._score_plots.items():
             levels = {"threshold": record.thresholds[name]} if name in record.thresholds else {}
             plot.set({name: record.scores[name][index, :count]}, levels)
         self.player.set_states(count)
-        if record.grid is not None:
-            self._show_slice()
+        self._show_input()
         self._show(self.player.moment)
 
     def _show(self, moment: float) -> None:
+        if not len(self._selection.order):
+            return
         record, index = self._record, self._index
         show_prediction(self._page.drawing, record, index, moment)
         for plot in (self._error_plot, *self._score_plots.values()):
             plot.mark(moment)
-        step = int(moment)
-        error = self._errors[index, step] if step < self._errors.shape[1] else np.nan
-        lines = [f"from state **{record.start[index]}** of {len(record.points) - 1}, {step} steps ahead"]
-        lines.append(
-            f"error {100 * error:.1f} cm" if np.isfinite(error) else "what happened here is not known"
-        )
+        step = min(int(moment), self._errors.shape[1] - 1)
+        error = self._errors[index, step]
+        lines = [f"prediction **{index}**, from state {record.start[index]} of {len(record.points) - 1}"]
+        known = f"error {error:.1f} cm" if np.isfinite(error) else "what happened here is not known"
+        lines.append(f"{step} steps ahead: {known}")
         for name, values in record.scores.items():
-            score = float(values[index, step]) if step < values.shape[1] else np.nan
-            if np.isfinite(score):
+            if np.isfinite(values[index, step]):
                 bound = record.thresholds.get(name)
                 beside = "" if bound is None else f" (threshold {bound:.3g})"
-                lines.append(f"{name} {score:.3g}{beside}")
+                lines.append(f"{name} {values[index, step]:.3g}{beside}")
         self._facts.content = "  \n".join(lines)
 
-    def _show_slice(self) -> None:
-        grid = self._record.grid
-        if grid is None:
+    def _show_input(self) -> None:
+        record, grid = self._record, self._record.grid
+        if grid is None or not len(self._selection.order):
             return
-        origin = grid.origin[self._index if len(grid.origin) > 1 else 0]
-        height = float(origin[2] + grid.spacing * self._layer.value)
-        self._height.content = f"at a height of {height:.3f} m"
-        if self._slice.value:
-            show_grid_slice(self._page.drawing, self._record, self._index, height)
+        index, layered = self._index, self._input.value == INPUTS[1]
+        self._layer.visible = layered
+        height = grid.origin[index if len(grid.origin) > 1 else 0, 2] + grid.spacing * self._layer.value
+        what = "signed distance" if grid.kind == "distance" else "occupancy"
+        self._about_input.content = f"{what}, height {height:.3f} m: blue inside" if layered else what
+        if self._input.value == INPUTS[0]:
+            self._page.drawing.remove("input")
         else:
-            self._page.drawing.remove("slice")
+            show_grid(self._page.drawing, record, index, int(self._layer.value) if layered else None)
 
 
 def listed(about: Mapping[str, Any]) -> str:

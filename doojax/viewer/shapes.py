@@ -121,3 +121,20 @@ def sphere(radius: float = 1.0, sides: int = 12) -> Mesh:
     """A ball around the origin."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
     return lathe(radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1), sides)
+
+
+def cone(sides: int = 3) -> Mesh:
+    """The side of a cone without a base, from a unit circle around the origin to (0, 0, 1)."""
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    side = np.arange(sides)
+    faces = np.stack([side, (side + 1) % sides, np.full(sides, sides)], axis=-1)
+    return np.append(circle, [[0, 0, 1]], axis=0).astype(np.float32), faces.astype(np.uint32)
+
+
+def turns_from_z(directions: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 4"]:
+    """Shortest turns, as unit quaternions (w, x, y, z), of the z axis to unit vectors."""
+    x, y, z = directions.T
+    turns = np.stack([1 + z, -y, x, 0 * z], axis=-1)
+    turns[z < -1 + 1e-6] = [0, 1, 0, 0]
+    return turns / np.linalg.norm(turns, axis=-1, keepdims=True)

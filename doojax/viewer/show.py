@@ -1,7 +1,7 @@
 """What is shown of episodes, predictions, plans and trials, on any `Drawing`: in the page and in pictures."""
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from doojax.experiments.drawing import Colour, Drawing
 from doojax.experiments.records import Look, PlanRecord, PredictionRecord, TrialRecord
@@ -9,15 +9,16 @@ from doojax.viewer import colours
 from doojax.viewer.episodes import Episode
 from doojax.viewer.shapes import extended, smooth
 
-NODE_SIZE = 0.012  # m
+EDGE_RADIUS = 0.007  # m, of a tree's edges where they start
 WORST_ERROR = 0.10  # m: the red end of the colours of errors
-FAR_DISTANCE = 0.25  # m: where the colours of signed distances end
+FAR_DISTANCE = 0.15  # m: where the colours of signed distances fade out
+DOT = 0.35  # of a voxel
 GHOST = 0.55  # opacity
 
 
 def gripper_radius(look: Look) -> float:
-    """Grippers are drawn a little thicker than they are, lest the rope hides them."""
-    return 1.25 * max(look.gripper_radius, look.rope_radius)
+    """Grippers are drawn thicker than they are, lest the rope hides them."""
+    return 1.5 * max(look.gripper_radius, look.rope_radius)
 
 
 def between(states: Float[np.ndarray, "T1 *k"], moment: float) -> Float[np.ndarray, "*k"]:
@@ -108,29 +109,34 @@ def show_prediction(drawing: Drawing, record: PredictionRecord, prediction: int,
         return
     error = np.linalg.norm(points - actual, axis=-1)
     tint = colours.scale("error", error / WORST_ERROR)
-    drawing.spheres("predicted/errors", points, radius=1.35 * look.rope_radius, colours=tint)
+    drawing.spheres("predicted/errors", points, radius=1.2 * look.rope_radius, colours=tint)
     drawing.lines("predicted/misses", np.stack([actual, points], axis=1), width=1.5, colours=tint)
 
 
-def show_grid_slice(drawing: Drawing, record: PredictionRecord, prediction: int, height: float) -> None:
-    """The horizontal slice of what the model saw nearest to ``height`` (m): blue inside, brown far off."""
-    drawing.remove("slice")
+def show_grid(
+    drawing: Drawing, record: PredictionRecord, prediction: int, layer: int | None, *, name: str = "input"
+) -> None:
+    """What the model saw, as dots: one horizontal layer of it, or all voxels that an obstacle fills.
+
+    In a layer, blue is inside an obstacle; brown is near one, fading out with the distance from it.
+    """
+    drawing.remove(name)
     grid = record.grid
     if grid is None:
         return
     index = prediction if len(grid.values) > 1 else 0
-    values, origin = grid.values[index], grid.origin[index]
-    layer = int(np.clip(round((height - origin[2]) / grid.spacing), 0, values.shape[2] - 1))
-    x, y = np.meshgrid(np.arange(values.shape[0]), np.arange(values.shape[1]), indexing="ij")
-    places = origin + grid.spacing * np.stack([x, y, np.full_like(x, layer)], axis=-1)
-    flat = values[:, :, layer]
-    tint = colours.scale("signed", 0.5 + np.clip(flat / FAR_DISTANCE, -1, 1) / 2)
-    drawing.points("slice", places.reshape(-1, 3), size=0.9 * grid.spacing, colours=tint.reshape(-1, 3))
-
-
-def node_places(plan: PlanRecord, point: int) -> Float[np.ndarray, "n 3"]:
-    """Where each node of a search tree is drawn: at one point of its rope."""
-    return plan.points[:, point]
+    inside = grid.inside[index]
+    away = grid.values[index] / FAR_DISTANCE if grid.kind == "distance" else 1 - grid.values[index]
+    chosen = inside if layer is None else (away < 1) & (np.arange(inside.shape[2]) == layer)
+    if not chosen.any():
+        return
+    places = grid.origin[index] + grid.spacing * np.argwhere(chosen)
+    if layer is None:
+        tint = colours.scale("viridis", colours.to_unit(places[:, 2]))
+    else:
+        tint = colours.scale("fading", away[chosen])
+        tint[inside[chosen]] = colours.INSIDE
+    drawing.points(name, places, size=DOT * grid.spacing, colours=tint)
 
 
 def node_colours(plan: PlanRecord, by: str) -> UInt8[np.ndarray, "n 3"]:
@@ -163,14 +169,11 @@ def show_plan(
         tree: whether anything but the path is shown.
     """
     drawing.remove("plan")
-    places = node_places(plan, point)
-    shown = (plan.accepted | rejected) & tree
-    if shown.any():
-        tint = node_colours(plan, by)
-        drawing.points("plan/nodes", places[shown], size=NODE_SIZE, colours=tint[shown])
-        child = np.flatnonzero(shown & (plan.parent >= 0))
-        edges = np.stack([places[plan.parent[child]], places[child]], axis=1)
-        drawing.lines("plan/edges", edges, width=1.0, colours=tint[child])
+    places = plan.points[:, point]
+    shown = np.flatnonzero((plan.accepted | rejected) & tree & (plan.parent >= 0))
+    if len(shown):
+        edges = np.stack([places[plan.parent[shown]], places[shown]], axis=1)
+        drawing.cones("plan/tree", edges, radius=EDGE_RADIUS, colours=node_colours(plan, by)[shown])
     if len(plan.path):
         drawing.lines("plan/path", segments_of(places[plan.path]), width=5, colours=colours.CHOSEN)
         last = plan.path[-1]
@@ -179,14 +182,26 @@ def show_plan(
 
 
 def show_execution(drawing: Drawing, record: TrialRecord, moment: float) -> None:
-    """The executed rope at a moment, the way so far of the point that is to reach the goal, and the goal."""
+    """The executed rope at a moment, the goal, and the way so far of the point that is to reach it.
+
+    Recoveries have a colour of their own in that way.
+    """
     points, grippers = between(record.points, moment), between(record.grippers, moment)
     show_rope(drawing, "now", points, grippers, record.look)
     drawing.remove("executed")
     way = record.points[: int(moment) + 1, record.goal_point]
     if len(way) > 1:
-        drawing.lines("executed", segments_of(way), width=4, colours=colours.EXECUTED)
-    drawing.spheres("goal", record.goal[None], radius=record.goal_radius, colours=colours.GOAL, opacity=0.45)
+        tint = np.where(recovering(record)[: len(way) - 1, None], colours.RECOVERY, colours.EXECUTED)
+        drawing.lines("executed", segments_of(way), width=4, colours=tint.astype(np.uint8))
+    drawing.spheres("goal", record.goal[None], radius=record.goal_radius, colours=colours.GOAL, opacity=0.6)
+
+
+def recovering(record: TrialRecord) -> Bool[np.ndarray, "T"]:
+    """Which steps of a trial were recoveries: those after such an event, until the next plan."""
+    steps = np.zeros(len(record.points) - 1, dtype=bool)
+    for event in record.events:
+        steps[event.step :] = event.kind == "recover"
+    return steps
 
 
 def plan_at(record: TrialRecord, step: int) -> int | None:

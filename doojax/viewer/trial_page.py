@@ -4,7 +4,7 @@ import numpy as np
 
 from doojax.experiments.records import PlanRecord, TrialRecord
 from doojax.viewer import colours
-from doojax.viewer.episodes import Episode
+from doojax.viewer.films import film_of_trial
 from doojax.viewer.page import Page
 from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
@@ -12,7 +12,7 @@ from doojax.viewer.prediction_page import listed
 from doojax.viewer.show import plan_at, show_execution, show_plan, show_rope
 
 FOLLOW = "the one being followed"
-LEGEND = """orange: executed; blue: chosen path; green: goal  
+LEGEND = """orange: executed; yellow: recoveries; blue: chosen path; green: goal  
 tree: dark to light; pink: rejected extensions"""
 
 
@@ -56,12 +56,9 @@ class TrialPage:
             control.on_update(page.calling(lambda: self._show(self.player.moment)))
         page.key("Next event", "N", lambda: self._go(1))
         page.key("Previous event", "P", lambda: self._go(-1))
-        shown = Episode(record.points, record.grippers, record.obstacles, record.look)
-        nodes = [plan.points[:, record.goal_point] for plan in record.plans]
-        everywhere = np.concatenate([shown.corners(), record.goal[None], *nodes])
-        page.drawing.obstacles("obstacles", record.obstacles, colour=colours.OBSTACLE)
-        page.stage(everywhere[np.isfinite(everywhere).all(-1)], record.look.floor, shown.planar)
-        page.drawing.text("goal label", "goal", record.goal + np.array([0, 0, 1.2 * record.goal_radius]))
+        film = film_of_trial(record)
+        film.set_up(page.drawing)
+        page.stage(film.corners, film.floor, film.planar)
         page.call(self._start)
 
     def close(self) -> None:

@@ -1,0 +1,100 @@
+"""What can be shown moment by moment on any `Drawing`, without controls: for pictures and recordings."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from doojax.datasets import Dataset
+from doojax.experiments.drawing import Drawing
+from doojax.experiments.records import PredictionRecord, TrialRecord
+from doojax.viewer import colours
+from doojax.viewer.episodes import episode, episode_of, title
+from doojax.viewer.show import plan_at, show_episode, show_execution, show_plan, show_prediction
+
+
+@dataclass(frozen=True)
+class Film:
+    """``states`` moments of something: ``set_up`` draws what stands still, ``show`` the rest at a moment."""
+
+    title: str
+    corners: Float[np.ndarray, "K 3"]  # points around which a picture must reach, metres
+    floor: float | None  # its height, metres
+    planar: bool  # does everything move at one height? Then it is best seen from above
+    states: int
+    period: float  # s between two states
+    set_up: Callable[[Drawing], None]
+    show: Callable[[Drawing, float], None]
+
+
+def film_of_trajectory(dataset: Dataset, index: int) -> Film:
+    """A trajectory of a data set, with what it left behind.
+
+    Raises:
+        IndexError: outside of the data set.
+        ValueError: for a damaged chunk file, naming it.
+    """
+    shown = episode(dataset, index)
+    return Film(
+        title=f"{title(dataset)}   #{dataset.rows[index]}",
+        corners=shown.corners(),
+        floor=shown.look.floor,
+        planar=shown.planar,
+        states=len(shown.points),
+        period=shown.period,
+        set_up=lambda drawing: drawing.obstacles("obstacles", shown.obstacles, colour=colours.OBSTACLE),
+        show=lambda drawing, moment: show_episode(drawing, shown, moment, trail=True),
+    )
+
+
+def film_of_prediction(record: PredictionRecord, index: int) -> Film:
+    """One prediction beside what happened.
+
+    Raises:
+        IndexError: outside of the record.
+    """
+    count = len(record.start)
+    if not 0 <= index < count:
+        raise IndexError(f"there is no prediction {index}: the record holds {count}, counted from 0")
+    world = episode_of(record)
+    predicted = record.predicted_points[index]
+    known = np.isfinite(predicted).all((1, 2))
+    return Film(
+        title=f"{record.task.replace('_', ' ')} · prediction {index}",
+        corners=np.concatenate([world.corners(), predicted[known].reshape(-1, 3)]),
+        floor=record.look.floor,
+        planar=world.planar,
+        states=int(np.flatnonzero(known).max(initial=0)) + 1,
+        period=record.period,
+        set_up=lambda drawing: drawing.obstacles("obstacles", record.obstacles, colour=colours.OBSTACLE),
+        show=lambda drawing, moment: show_prediction(drawing, record, index, moment),
+    )
+
+
+def film_of_trial(record: TrialRecord) -> Film:
+    """A trial: at every moment the search and the plan being followed, and what was executed."""
+    world = episode_of(record)
+    nodes = [plan.points[:, record.goal_point] for plan in record.plans]
+    everything = np.concatenate([world.corners(), record.goal[None], *nodes]).astype(np.float32)
+
+    def set_up(drawing: Drawing) -> None:
+        drawing.obstacles("obstacles", record.obstacles, colour=colours.OBSTACLE)
+        drawing.text("goal label", "goal", record.goal + np.array([0, 0, 1.2 * record.goal_radius]))
+
+    def show(drawing: Drawing, moment: float) -> None:
+        index = plan_at(record, int(moment))
+        if index is not None:
+            show_plan(drawing, record.plans[index], record.look, point=record.goal_point)
+        show_execution(drawing, record, moment)
+
+    return Film(
+        title=f"{record.task.replace('_', ' ')} · {record.method} · seed {record.seed}: {record.end}",
+        corners=everything[np.isfinite(everything).all(-1)],
+        floor=record.look.floor,
+        planar=world.planar,
+        states=len(record.points),
+        period=record.period,
+        set_up=set_up,
+        show=show,
+    )
