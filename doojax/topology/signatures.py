@@ -16,8 +16,8 @@ class Signature(eqx.Module):
 
     The arrays are canonical: equal multisets of one shape have equal `rows`. Outside of jit a single
     signature compares with ``==``, also to one of another L, hashes, and prints as ``{(1,0),(0,1)}``; without
-    any grasp loop it prints as ``∅``, which differs from ``{(0,0)}``, a loop linked with nothing. In jit use
-    `same`.
+    any grasp loop it prints as ``∅``, which differs from ``{(0,0)}``, a loop linked with nothing. One that is
+    not to be trusted prints with ``touching`` behind it. In jit use `same`.
     """
 
     rows: Int[Array, "*b L S"]  # in descending order; -1 in rows that are not used
@@ -70,8 +70,8 @@ class Signature(eqx.Module):
 
     def __str__(self) -> str:
         """The multiset as it is written on paper."""
-        vectors = self.vectors
-        return "{" + ",".join(f"({','.join(map(str, v))})" for v in vectors) + "}" if vectors else "∅"
+        elements = ",".join(f"({','.join(map(str, vector))})" for vector in self.vectors)
+        return (f"{{{elements}}}" if elements else "∅") + (" touching" if self.touching else "")
 
 
 def canonical(numbers: Int[Array, "L S"], used: Bool[Array, "L"]) -> tuple[Int[Array, "L S"], Int[Array, ""]]:

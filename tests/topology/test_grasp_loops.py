@@ -231,6 +231,7 @@ def test_touching_and_malformed_states_are_reported_under_jit():
     )  # the rope meets a side
     found = jitted(straight_arms(0.9), through_wire)
     assert found.touching and found.margin < 1e-5
+    assert str(found).endswith(" touching"), "who prints it is told"
     for place, broken in [
         (lambda g: g.gripper_locations, jnp.array([1.2, 0.0])),
         (lambda g: g.gripper_locations, jnp.array([-0.1, 0.0])),

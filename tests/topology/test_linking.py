@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doojax.topology import TOUCHING, linking_number, linking_of
+from doojax.topology import TOUCHING, linking_number, linking_of, rectangle
 
 from . import curves
 from .oracle import oracle_linking_number, oracle_margin
@@ -16,7 +16,11 @@ ROUNDING = 2e-6  # of the margin, in bounding boxes, as promised
 KINDS = ["any", "lattice", "boxes", "strands", "far"]
 
 one = jax.jit(linking_of)
-many = jax.jit(jax.vmap(linking_of))
+many_on_device = jax.jit(jax.vmap(linking_of))
+
+
+def many(first, second):
+    return jax.tree.map(np.asarray, many_on_device(first, second))  # JAX would compile every choice of pairs
 
 
 def size_of(first, second):
@@ -113,7 +117,7 @@ def test_ten_thousand_random_pairs_agree_with_the_oracle(seed, kind, first_point
     np.testing.assert_array_less(np.abs(results.margin - margin), ROUNDING * size)
     clear = np.abs(margin - TOUCHING * size) > ROUNDING * size
     np.testing.assert_array_equal(results.touching[clear], (margin < TOUCHING * size)[clear])
-    apart = ~np.asarray(results.touching)
+    apart = ~results.touching
     number, doubt = oracle_linking_number(first[apart], second[apart])
     np.testing.assert_array_less(doubt, 1e-3)
     np.testing.assert_array_equal(results.number[apart], number)
@@ -163,9 +167,9 @@ def test_a_motion_that_keeps_the_curves_apart_keeps_the_linking_number(seed):
     start, before, way = pairs.copy(), many(*pairs).number, np.zeros_like(pairs)
     for _ in range(60):
         # No point moves half the margin in a step, so the curves cannot meet on the way.
-        margin = np.asarray(many(*pairs).margin)
+        margin = many(*pairs).margin
         step = 0.45 * margin[:, None, None] * way
-        kept = way.any(axis=(0, 2, 3)) & (np.asarray(many(*(pairs + step)).margin) > 0.05)
+        kept = way.any(axis=(0, 2, 3)) & (many(*(pairs + step)).margin > 0.05)
         pairs[:, kept] += step[:, kept]
         fresh = rng.normal(size=(2, np.sum(~kept), 4, 3))  # another way for those that would come too close
         fresh /= np.linalg.norm(fresh, axis=-1).max(axis=-1)[..., None, None]
@@ -209,6 +213,25 @@ def test_scaled_copies_have_one_linking_number(scale):
 def test_a_ring_beside_the_post_it_does_not_enclose(height, number):
     skeleton = curves.closed([[0.5, -2.5, -3.4], [0.5, 0.5, -3.4], [0.5, 0.5, 1.8], [0.5, -2.5, 1.8]])
     assert linking_number(curves.circle(0.25, (0, 0, height)), skeleton) == number
+
+
+def test_two_ropes_with_common_ends_go_the_same_way_if_there_and_back_is_linked_with_nothing():
+    t = np.linspace(0, 1, 9)[:, None]
+    frames = [rectangle([x, 0, 0], [0, 0.3, 0], [0, 0, 0.3]) for x in (0.5, 1.5)]
+
+    def rope(*heights, beside=0.02):  # metres between its ends and those of the other rope
+        along = np.interp(8 * t, np.arange(9), [0, *heights, 0])
+        return np.concatenate([2 * t, 0 * t, along + beside], axis=1)
+
+    straight = rope(*[0] * 7, beside=0)
+    also_straight, over_first, over_both = (
+        rope(0, 0.1, 0, 0, -0.1, 0, 0),
+        rope(1, 1, 1, 0, 0, 0, 0),
+        rope(*[1] * 7),
+    )
+    for goal, expected in [(also_straight, [0, 0]), (over_first, [1, 0]), (over_both, [1, 1])]:
+        there_and_back = curves.closed(np.concatenate([straight, goal[::-1]]))
+        assert [abs(linking_number(there_and_back, frame)) for frame in frames] == expected
 
 
 def long_segment_among_many(offset=0.0):
