@@ -21,6 +21,7 @@ import doojax
 type Commands = Mapping[str, tuple[str | Commands, str]]
 
 BENCHMARKS: Commands = {
+    "planner": ("doojax.benchmarks.planner:planner", "extensions per second beside OMPL's RRT"),
     "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
     "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
     "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),

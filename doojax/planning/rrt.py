@@ -35,7 +35,7 @@ class RrtSettings:
     extensions: int = 8192  # attempts before the search is given up
     goal_bias: float = 0.3  # probability that a lane heads for the goal
     duration: int = 20  # an action is held for up to this many steps, uniformly
-    candidates: int = 8  # actions drawn for a lane; the one that best moves the grippers towards the sample
+    candidates: int = 32  # actions drawn for a lane; the one that best moves the grippers towards the sample
     random_accept: float = 0.0  # probability that a rejected extension is accepted nevertheless
     stuck_after: int = 32  # attempts without a single success after which the start counts as stuck
     goal_margin: float = 0.6  # of the goal's tolerance: a plan is to end so near, because execution errs
@@ -215,13 +215,12 @@ def _propose_one(
 def _directed_action(
     task: Task, candidates: int, key: Array, state: RopeState, sample: Float[Array, "NG 3"]
 ) -> Float[Array, "G 3"]:
-    """Of some random actions the one that brings the grippers nearest to the sample's."""
-    nothing = jnp.zeros((task.grippers, 3))
-    actions = jax.vmap(task.sample_action, in_axes=(0, None, None, None))(
-        jax.random.split(key, candidates), state, nothing, "constrained"
-    )
+    """Of the valid ones of some random actions, that which brings the grippers nearest to the sample's."""
+    actions = jax.vmap(task.draw_action)(jax.random.split(key, candidates))
+    valid = jax.vmap(lambda action: task.valid_action(state, action, "constrained"))(actions)
     missing = sample[-task.grippers :] - state.grippers - actions
-    return actions[jnp.argmin((missing**2).sum((-1, -2)))]
+    distance = jnp.where(valid, (missing**2).sum((-1, -2)), jnp.inf)
+    return jnp.where(valid.any(), actions[jnp.argmin(distance)], task.retreat(state, "constrained"))
 
 
 def _insert_one(

@@ -77,8 +77,16 @@ class Task(Protocol):
         """Gripper displacements (m): often ``previous`` again; zeros as ``previous`` ask for a fresh one."""
         ...
 
+    def draw_action(self, key: Array) -> Float[Array, "G 3"]:
+        """Gripper displacements (m) of the distribution from which `sample_action` takes the valid ones."""
+        ...
+
     def valid_action(self, state: RopeState, action: Float[Array, "G 3"], phase: Phase) -> Bool[Array, ""]:
-        """May the grippers be sent there? An action longer than any that is sampled may not be taken."""
+        """May the grippers be sent there? An action longer than any that is drawn may not be taken."""
+        ...
+
+    def retreat(self, state: RopeState, phase: Phase) -> Float[Array, "G 3"]:
+        """The action (m) that leads back to where others are valid."""
         ...
 
     @property

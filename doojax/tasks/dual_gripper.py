@@ -142,24 +142,28 @@ class DualGripper:
         repeat_key, draw_key = jax.random.split(key)
         repeat = (jax.random.uniform(repeat_key) < REPEAT_PROBABILITY) & (previous != 0).any()
 
-        def draw(key):
-            pitch_key, yaw_key, length_key = jax.random.split(key, 3)
-            pitch = jax.random.uniform(pitch_key, (2,), minval=-jnp.pi, maxval=jnp.pi)
-            yaw = jax.random.uniform(yaw_key, (2,), minval=-jnp.pi, maxval=jnp.pi)
-            length = jax.random.uniform(length_key, (2, 1), maxval=MAX_ACTION)
-            direction = [jnp.cos(pitch) * jnp.cos(yaw), jnp.cos(pitch) * jnp.sin(yaw), jnp.sin(pitch)]
-            return length * jnp.stack(direction, axis=-1)
-
         def valid(action):
             return self.valid_action(state, action, phase)
 
+        fresh = first_valid(draw_key, self.draw_action, valid, fallback=self.retreat(state, phase))
+        return jnp.where(repeat & valid(previous), previous, fresh)
+
+    def draw_action(self, key: Array) -> Float[Array, "2 3"]:
+        """Uniform in pitch, yaw and length, each gripper by itself."""
+        pitch_key, yaw_key, length_key = jax.random.split(key, 3)
+        pitch = jax.random.uniform(pitch_key, (2,), minval=-jnp.pi, maxval=jnp.pi)
+        yaw = jax.random.uniform(yaw_key, (2,), minval=-jnp.pi, maxval=jnp.pi)
+        length = jax.random.uniform(length_key, (2, 1), maxval=MAX_ACTION)
+        direction = [jnp.cos(pitch) * jnp.cos(yaw), jnp.cos(pitch) * jnp.sin(yaw), jnp.sin(pitch)]
+        return length * jnp.stack(direction, axis=-1)
+
+    def retreat(self, state: RopeState, phase: Phase = "constrained") -> Float[Array, "2 3"]:
+        """The grippers close in on each other, in reach."""
         inside = REACH[phase].clip(state.grippers)
         closing = 0.9 * (inside - inside.mean(0)) + inside.mean(0) - state.grippers
-        closing = closing * jnp.minimum(
+        return closing * jnp.minimum(
             1.0, MAX_ACTION / (jnp.linalg.norm(closing, axis=-1, keepdims=True) + 1e-9)
         )
-        fresh = first_valid(draw_key, draw, valid, fallback=closing)
-        return jnp.where(repeat & valid(previous), previous, fresh)
 
     def valid_action(
         self, state: RopeState, action: Float[Array, "2 3"], phase: Phase = "constrained"

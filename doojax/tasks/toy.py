@@ -163,17 +163,22 @@ class Toy:
         repeat_key, draw_key = jax.random.split(key)
         repeat = (jax.random.uniform(repeat_key) < REPEAT_PROBABILITY) & (previous != 0).any()
 
-        def draw(key):
-            angle_key, length_key = jax.random.split(key)
-            angle = jax.random.uniform(angle_key, minval=-jnp.pi, maxval=jnp.pi)
-            length = jax.random.uniform(length_key, maxval=MAX_ACTION)
-            return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
-
         def valid(action):
             return self.valid_action(state, action, phase)
 
-        fresh = first_valid(draw_key, draw, valid, fallback=REACH.clip(state.grippers) - state.grippers)
+        fresh = first_valid(draw_key, self.draw_action, valid, fallback=self.retreat(state, phase))
         return jnp.where(repeat & valid(previous), previous, fresh)
+
+    def draw_action(self, key: Array) -> Float[Array, "1 3"]:
+        """Uniform in direction and in length."""
+        angle_key, length_key = jax.random.split(key)
+        angle = jax.random.uniform(angle_key, minval=-jnp.pi, maxval=jnp.pi)
+        length = jax.random.uniform(length_key, maxval=MAX_ACTION)
+        return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
+
+    def retreat(self, state: RopeState, phase: Phase = "constrained") -> Float[Array, "1 3"]:
+        """To the nearest point in reach."""
+        return REACH.clip(state.grippers) - state.grippers
 
     def valid_action(
         self, state: RopeState, action: Float[Array, "1 3"], phase: Phase = "constrained"

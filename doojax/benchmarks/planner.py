@@ -1,0 +1,324 @@
+"""The planner beside OMPL's control::RRT, which is given the same jitted models, one transition at a time.
+
+OMPL calls back into Python for every step. The call runs dynamics, constraint and bounds in one compiled
+function and leaves the states where they are; OMPL sees the goal's point and the grippers, which makes a good
+space for it: uniform samples of the whole rope's coordinates would all be tangles. The full state is looked
+up by a number that travels with it, at weight zero in the distance. Actions have the tasks' distribution.
+
+A second table tells what the samples of `doojax.planning.metric` are worth beside one point for the whole
+rope, which the thesis's released code uses.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from rich.console import Console
+from rich.table import Table
+
+from doojax.experiments.methods import find_models, make_method, pretrained_models
+from doojax.experiments.reports import Row, row, write_summary
+from doojax.experiments.scenes import draw_scenes
+from doojax.experiments.statistics import bootstrap
+from doojax.models import CollisionChecker
+from doojax.planning import Goal, Problem, Rrt, RrtSettings, plan_of, search
+from doojax.planning.metric import point_sample, rope_sample
+from doojax.simulation.scenes import parked_poses
+from doojax.simulation.state import SimState
+from doojax.tasks import make_task
+from doojax.tasks.base import Task
+from doojax.tasks.toy import ToySimulator
+from doojax.types import Obstacles, RopeState
+
+SEED = 0
+SCENES = 20
+SETTINGS = RrtSettings()
+THESIS = RrtSettings(goal_bias=0.05, duration=49, candidates=1)
+LONGEST = {"toy": 0.1, "rope_dragging": 0.15, "dual_gripper": 0.1}  # m, of an action
+
+
+class Found(NamedTuple):
+    """One search of one planner."""
+
+    seconds: float
+    accepted: int
+    extensions: int
+    solved: bool
+
+
+class Towed(eqx.Module):
+    """The toy task's rope without the wall: what a model of unconstrained motion predicts, exactly."""
+
+    simulator: ToySimulator
+
+    def __call__(
+        self, obstacles: Obstacles, state: RopeState, action: Float[Array, "1 3"]
+    ) -> tuple[RopeState, Float[Array, ""]]:
+        """The next state; no uncertainty."""
+        position, quaternion = parked_poses(1)
+        before = SimState(
+            qpos=jnp.concatenate([state.points, state.grippers]).reshape(-1),
+            qvel=jnp.zeros(self.simulator.scene.nv),
+            obstacle_position=position,
+            obstacle_quaternion=quaternion,
+            holding=jnp.ones(1, dtype=bool),
+            faults=jnp.array(0, dtype=jnp.int32),
+            model_fields={},
+        )
+        return self.simulator.observe(self.simulator.step(before, action)), jnp.zeros(())
+
+
+def planner(
+    task: str = "toy",
+    /,
+    *,
+    models: Path | None = None,
+    method: str = "classifier",
+    scenes: int = SCENES,
+    out: Path = Path("results/planning"),
+) -> None:
+    """Measure accepted extensions per second and seconds to a solution beside OMPL; write results/planning.
+
+    Both plan in the same scenes with the same models, taking turns, until the goal is reached in prediction
+    or as many extensions are tried as our planner's default allows. Compilation is not counted.
+
+    Args:
+        task: toy, which needs no models, rope_dragging or dual_gripper.
+        models: a folder of trained models; by default those that come with doojax.
+        method: whose models are used, such as classifier; not for toy.
+        scenes: how many.
+        out: the folder of summary.json.
+
+    Raises:
+        ModuleNotFoundError: OMPL is not installed; `pip install ompl` does that.
+        ValueError: for an unknown name, or models that are missing or of another task.
+    """
+    the_task = make_task(task)
+    if task == "toy":
+        ours = Rrt(Towed(ToySimulator(the_task.scene, "unconstrained")), CollisionChecker(), the_task)
+    else:
+        found = find_models(models, task) if models else pretrained_models(task)
+        chosen = make_method(method, the_task, the_task.simulator(), found)
+        ours = Rrt(chosen.dynamics, chosen.reliability, the_task)
+    problems = problems_of(the_task, scenes)
+    results = take_turns(ours, problems)
+    samplers = compare_samplers(ours, problems)
+    rows = speed_rows(task, results) + sampler_rows(task, samplers)
+    write_summary(out / "summary.json", command=f"doojax bench planner {task}", seed=SEED, rows=rows)
+    table = Table("metric", "tags", "value", "95 % interval", title=f"{task}, {scenes} scenes")
+    for one in rows:
+        tags = ", ".join(str(tag) for name, tag in one.tags.items() if name != "task")
+        interval = f"{one.low:.4g} to {one.high:.4g}" if one.low is not None else ""
+        table.add_row(one.metric, tags, f"{one.value:.4g}", interval)
+    Console().print(table)
+
+
+def problems_of(task: Task, count: int) -> list[Problem]:
+    """Batches of one problem each, in scenes of the kind that trials have."""
+    drawn, simulator = draw_scenes(task, count, SEED), task.simulator()
+    starts: SimState = jax.tree.map(jnp.asarray, drawn.starts)
+    obstacles, rope = jax.vmap(simulator.obstacles)(starts), simulator.observations(starts).rope
+    goals: Goal = jax.tree.map(jnp.asarray, drawn.goals)
+    everything = Problem(obstacles, rope, goals, jax.random.split(jax.random.key(SEED), count))
+    return [jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], everything) for i in range(count)]
+
+
+def take_turns(ours: Rrt, problems: Sequence[Problem]) -> dict[str, list[Found]]:
+    """Each planner on each problem, once the first one has been solved to compile everything."""
+    planners: dict[str, Callable[[Problem], Found]] = {
+        "doojax": partial(solve, ours),
+        "ompl": Ompl(ours).solve,
+    }
+    for run in planners.values():
+        run(problems[0])
+    found: dict[str, list[Found]] = {name: [] for name in planners}
+    for problem in problems:
+        for name, run in planners.items():
+            found[name].append(run(problem))
+    return found
+
+
+def solve(ours: Rrt, problem: Problem) -> Found:
+    """Our planner on one problem."""
+    begun = time.perf_counter()
+    tree = jax.block_until_ready(search(ours, problem))
+    seconds = time.perf_counter() - begun
+    plan = plan_of(jax.tree.map(lambda leaf: np.asarray(leaf[0]), tree))
+    return Found(seconds, plan.accepted, plan.extensions, plan.status == "solved")
+
+
+class Ompl:
+    """OMPL's control::RRT with the same models and budget."""
+
+    def __init__(self, ours: Rrt):
+        """Compile one transition."""
+        from ompl import util  # pyright: ignore[reportMissingImports]
+
+        util.setLogLevel(util.LOG_ERROR)
+        util.RNG.setSeed(1 + SEED)
+        self._task, self._settings = ours.task, ours.settings
+        self._step = jax.jit(partial(_transition, ours))
+
+    def solve(self, problem: Problem) -> Found:
+        """Plan until the goal is reached or the budget is spent."""
+        from ompl import base, control  # pyright: ignore[reportMissingImports]
+
+        task, settings = self._task, self._settings
+        one = jax.tree.map(lambda leaf: leaf[0], problem)
+        states, accepted = [one.start], [True]
+        low, high = np.array(task.workspace.low), np.array(task.workspace.high)
+        begin = np.asarray(_features(task, one.start))
+        low, high = np.minimum(low, begin.min(0)), np.maximum(high, begin.max(0))
+        axes = np.flatnonzero(high - low > 1e-3)  # a planar task has two
+        seen = 1 + task.grippers  # the goal's point and the grippers
+
+        features = base.RealVectorStateSpace(seen * len(axes))
+        features.setBounds(_bounds(base, np.tile(low[axes], seen), np.tile(high[axes], seen)))
+        number = base.RealVectorStateSpace(1)
+        number.setBounds(_bounds(base, [0.0], [1e9]))
+        space = base.CompoundStateSpace()
+        space.addSubspace(features, 1.0)
+        space.addSubspace(number, 0.0)
+        angles = len(axes) - 1
+        controls = control.RealVectorControlSpace(space, task.grippers * len(axes))
+        ends = ([-np.pi] * angles + [0.0], [np.pi] * angles + [LONGEST[task.name]])
+        controls.setBounds(_bounds(base, *(np.tile(end, task.grippers) for end in ends)))
+
+        def put(state: Any, index: int, values: np.ndarray) -> None:
+            for axis, value in enumerate(values.tolist()):
+                state[0][axis] = value
+            state[1][0] = index
+
+        def propagate(state: Any, command: Any, duration: float, result: Any) -> None:
+            before = states[int(state[1][0])]
+            polar = np.array([command[i] for i in range(task.grippers * len(axes))], dtype=np.float32)
+            after, fine, values = self._step(one.obstacles, before, polar.reshape(task.grippers, -1))
+            states.append(after)
+            accepted.append(bool(fine))
+            put(result, len(states) - 1, np.asarray(values)[:, axes].ravel())
+
+        def usable(state: Any) -> bool:
+            return accepted[int(state[1][0])]
+
+        class Target(base.GoalSampleableRegion):
+            def distanceGoal(self, state: Any) -> float:
+                place = np.array([state[0][axis] for axis in range(len(axes))])
+                return float(np.linalg.norm(place - target[axes]))
+
+            def sampleGoal(self, state: Any) -> None:
+                hands = rng.uniform(np.tile(low[axes], task.grippers), np.tile(high[axes], task.grippers))
+                put(state, 0, np.concatenate([target[axes], hands]))
+
+            def maxSampleCount(self) -> int:
+                return 1 << 30
+
+        target, rng = np.asarray(one.goal.targets[0]), np.random.default_rng(SEED)
+        setup = control.SimpleSetup(controls)
+        information = setup.getSpaceInformation()
+        setup.setStatePropagator(propagate)
+        setup.setStateValidityChecker(usable)
+        information.setPropagationStepSize(1.0)
+        information.setMinMaxControlDuration(1, settings.duration)
+        start: Any = space.allocState()
+        put(start, 0, begin[:, axes].ravel())
+        setup.setStartState(start)
+        goal = Target(information)
+        goal.setThreshold(settings.goal_margin * float(one.goal.tolerance))
+        setup.setGoal(goal)
+        rrt = control.RRT(information)
+        rrt.setGoalBias(settings.goal_bias)
+        rrt.setIntermediateStates(True)
+        setup.setPlanner(rrt)
+        setup.setup()
+        stop = base.PlannerTerminationCondition(lambda: len(states) > settings.extensions)
+        begun = time.perf_counter()
+        setup.solve(stop)
+        seconds = time.perf_counter() - begun
+        return Found(seconds, sum(accepted) - 1, len(states) - 1, setup.haveExactSolutionPath())
+
+
+def compare_samplers(ours: Rrt, problems: Sequence[Problem]) -> dict[str, np.ndarray]:
+    """Extensions until each problem is solved, or the budget, with each way to sample."""
+    variants = {
+        "rope": (SETTINGS, rope_sample),
+        "one point": (SETTINGS, point_sample),
+        "one point, thesis": (THESIS, point_sample),
+    }
+    found = {}
+    for name, (settings, sampler) in variants.items():
+        variant = Rrt(ours.dynamics, ours.reliability, ours.task, settings, sampler)
+        found[name] = np.array([solve(variant, problem).extensions for problem in problems], dtype=float)
+    return found
+
+
+def speed_rows(task: str, results: dict[str, list[Found]]) -> list[Row]:
+    """Rates and times, and how many times faster we are."""
+    rows, rates = [], {}
+    both = [all(one.solved for one in pair) for pair in zip(*results.values(), strict=True)]
+    for name, found in results.items():
+        tags = {"planner": name, "task": task}
+        accepted, seconds = (np.array(column, float) for column in list(zip(*found, strict=True))[1::-1])
+        rates[name] = accepted / seconds
+        rows.append(_row("extensions_per_s", tags, rates[name], "1/s", np.median))
+        if any(both):
+            rows.append(_row("time_to_solution_s", tags, seconds[both], "s", np.median))
+        solved = sum(f.solved for f in found)
+        rows.append(row("solved", tags, solved / len(found), "", n=len(found)))
+    ratio = rates["doojax"] / rates["ompl"]
+    rows.append(_row("extensions_speedup", {"task": task, "against": "ompl"}, ratio, "", np.median))
+    return rows
+
+
+def sampler_rows(task: str, extensions: dict[str, np.ndarray]) -> list[Row]:
+    """Geometric means of the extensions to a solution."""
+    return [
+        _row("extensions_to_solution", {"task": task, "sample": name}, values, "", _geometric_mean)
+        for name, values in extensions.items()
+    ]
+
+
+def _row(
+    metric: str, tags: dict[str, Any], values: np.ndarray, unit: str, statistic: Callable[..., Any]
+) -> Row:
+    found = bootstrap(values, statistic)
+    return row(metric, tags, found.value, unit, found.low, found.high, found.n)
+
+
+def _geometric_mean(values: np.ndarray, axis: int = -1) -> np.ndarray:
+    return np.exp(np.log(values).mean(axis))
+
+
+def _transition(
+    ours: Rrt, obstacles: Obstacles, state: RopeState, polar: Float[Array, "G D"]
+) -> tuple[RopeState, Bool[Array, ""], Float[Array, "S 3"]]:
+    """What OMPL asks for: the next state, whether it may be used, and what OMPL sees of it."""
+    length = polar[:, -1]
+    if polar.shape[-1] == 2:
+        direction = [jnp.cos(polar[:, 0]), jnp.sin(polar[:, 0]), jnp.zeros_like(length)]
+    else:
+        pitch, yaw = polar[:, 0], polar[:, 1]
+        direction = [jnp.cos(pitch) * jnp.cos(yaw), jnp.cos(pitch) * jnp.sin(yaw), jnp.sin(pitch)]
+    action = length[:, None] * jnp.stack(direction, axis=-1)
+    after, uncertainty = ours.dynamics(obstacles, state, action)  # pyright: ignore[reportCallIssue]
+    score = ours.reliability(obstacles, state, action, after, uncertainty)
+    valid = ours.task.valid_action(state, action, "constrained")
+    return after, valid & (score > ours.reliability.threshold), _features(ours.task, after)
+
+
+def _features(task: Task, state: RopeState) -> Float[Array, "S 3"]:
+    return jnp.concatenate([state.points[task.goal_point][None], state.grippers])
+
+
+def _bounds(base: Any, low: Any, high: Any) -> Any:
+    bounds = base.RealVectorBounds(len(low))
+    for axis, (least, most) in enumerate(zip(low, high, strict=True)):
+        bounds.setLow(axis, float(least))
+        bounds.setHigh(axis, float(most))
+    return bounds
