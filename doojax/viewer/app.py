@@ -1,4 +1,4 @@
-"""`doojax view`: a page on anything that doojax writes."""
+"""`doojax view`: a page on data sets, training runs, predictions and trials."""
 
 import ipaddress
 import threading
@@ -10,14 +10,14 @@ import tyro
 from rich.console import Console
 
 from doojax.datasets import Dataset
-from doojax.datasets.files import MANIFEST, describe_contents
 from doojax.experiments.records import TrialRecord, load_record
+from doojax.learning.runs import RunDirectory
 from doojax.viewer.dataset_page import DatasetPage
+from doojax.viewer.listing import find_items, is_dataset, is_run, kind_of, require_inside
 from doojax.viewer.page import Page, Server, start_server
 from doojax.viewer.prediction_page import PredictionPage
+from doojax.viewer.run_page import RunPage
 from doojax.viewer.trial_page import TrialPage
-
-MOST_ITEMS = 2000  # in the page's list
 
 
 @runtime_checkable
@@ -30,10 +30,10 @@ class Content(Protocol):
 
 
 def view(path: tyro.conf.Positional[Path], /, *, host: str = "127.0.0.1", port: int = 8080) -> None:
-    """Look at data sets, predictions and trials in a browser, until Ctrl-C.
+    """Look at data sets, training runs, predictions and trials in a browser, until Ctrl-C.
 
     Args:
-        path: a data set, a record (.npz), or a folder that holds some.
+        path: a data set, a run, a record (.npz), or a folder that holds some.
         host: the address to bind to. By default only this machine can look; 0.0.0.0 lets everybody in reach.
         port: the port to bind to; 0 takes any that is free.
 
@@ -44,7 +44,8 @@ def view(path: tyro.conf.Positional[Path], /, *, host: str = "127.0.0.1", port: 
     console = Console(soft_wrap=True)
     App(server, path)
     shown = f"[{host}]" if ":" in host else {"0.0.0.0": "localhost"}.get(host, host)
-    console.print(f"{path} is shown at http://{shown}:{server.get_port()} (Ctrl-C ends)", highlight=False)
+    text = f"{path} is shown at http://{shown}:{server.get_port()} (Ctrl-C ends)"
+    console.print(text, highlight=False, markup=False)
     if not is_loopback(host):
         console.print(
             f"[yellow]Bound to {host}: everybody who can reach this machine can look, no password.[/]"
@@ -63,49 +64,18 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def find_items(path: Path) -> list[Path]:
-    """The data sets and records at a path: itself, or what lies below it, links to elsewhere left out.
-
-    Raises:
-        FileNotFoundError: where there is nothing.
-        ValueError: where there is nothing that can be shown, saying what is there.
-    """
-    if not path.exists():
-        raise FileNotFoundError(f"there is nothing at {path}")
-    if path.is_file() or (path / MANIFEST).exists():
-        if path.is_file() and path.suffix != ".npz":
-            raise ValueError(f"{path} cannot be shown: {EXPECTATION}")
-        return [path]
-    root = path.resolve()
-    found: list[Path] = []
-    folders = [path]
-    while folders and len(found) < MOST_ITEMS:
-        for item in sorted(folders.pop(0).iterdir()):
-            if not item.resolve().is_relative_to(root):
-                continue
-            if item.suffix == ".npz" or (item / MANIFEST).exists():
-                found.append(item)
-            elif item.is_dir() and not item.is_symlink():
-                folders.append(item)
-    if not found:
-        raise ValueError(
-            f"{path} holds nothing that can be shown, but {describe_contents(path)}: {EXPECTATION}"
-        )
-    return found
-
-
-EXPECTATION = f"expected a data set (a folder with {MANIFEST}), records (.npz), or a folder that holds some"
-
-
-def open_content(page: Page, path: Path) -> Content:
-    """Show a data set or a record in a page.
+def open_content(page: Page, path: Path, root: Path) -> Content:
+    """Show a data set, a run or a record in a page, and nothing from outside of ``root``.
 
     Raises ValueError or OSError where it cannot be read.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # the page itself says that a data set is unfinished
-        if path.is_dir():
+    require_inside(path, root)
+    if is_dataset(path):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the page itself says that a data set is unfinished
             return DatasetPage(page, Dataset.open(path))
+    if is_run(path):
+        return RunPage(page, RunDirectory(path))
     record = load_record(path)
     if isinstance(record, TrialRecord):
         return TrialPage(page, record, str(path))
@@ -122,7 +92,7 @@ class App:
         self._content: Content | None = None
         self._page.call(self.reload)
 
-    def reload(self, chosen: str | None = None) -> None:
+    def reload(self, chosen: Path | None = None) -> None:
         """Look at the path again and show an item of it, the first by default."""
         page = self._page
         self.close()
@@ -130,12 +100,13 @@ class App:
         gui = page.server.gui
         try:
             items = find_items(self._path)
-            names = {str(item.relative_to(self._path)): item for item in items}
-            chosen = chosen if chosen in names else next(iter(names))
-            if len(names) > 1:
-                pick = gui.add_dropdown("Show", tuple(names), initial_value=chosen)
-                pick.on_update(page.calling(lambda: self.reload(pick.value)))
-            self._content = open_content(page, names[chosen])
+            chosen = chosen if chosen in items else items[0]
+            if len(items) > 1:
+                names = {f"{item.relative_to(self._path)} · {kind_of(item)}": item for item in items}
+                (shown,) = (name for name, item in names.items() if item == chosen)
+                pick = gui.add_dropdown("Show", tuple(names), initial_value=shown)
+                pick.on_update(page.calling(lambda: self.reload(names[pick.value])))
+            self._content = open_content(page, chosen, self._path)
         finally:
             again = gui.add_button("Read again", order=1e9, hint="What is at the path may have changed")
             again.on_click(page.calling(lambda: self.reload(chosen)))

@@ -13,6 +13,7 @@ from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
 from doojax.viewer.selection import Selection
 from doojax.viewer.show import show_episode
+from doojax.viewer.text import plain
 
 ARRANGEMENTS = ("side by side", "overlaid")
 MOST = 9  # trajectories at once
@@ -39,7 +40,7 @@ class DatasetPage:
                 f"unfinished: {len(dataset)} of {dataset.manifest.trajectories} trajectories so far; the "
                 "same collect command goes on with it"
             )
-        gui.add_markdown(f"**{title(dataset)}**  \n`{dataset.path}`")
+        gui.add_markdown(f"**{plain(title(dataset))}**  \n{plain(dataset.path)}")
         self._selection = Selection(page, len(dataset), "trajectory", self._load)
         self.player = Player(page, self._show)
         self._facts = gui.add_markdown("")

@@ -16,6 +16,7 @@ from rich.markup import escape
 from doojax.viewer import colours
 from doojax.viewer.draw import SceneDrawing
 from doojax.viewer.pictures import FROM_SIDE, camera_from
+from doojax.viewer.text import plain
 
 EXPECTED = (ValueError, OSError, IndexError, KeyError)  # bad input: reported, and the page lives on
 FIELD_OF_VIEW = 0.62  # rad, vertical
@@ -130,7 +131,7 @@ class Page:
 
     def _say(self, place: viser.GuiMarkdownHandle, text: str) -> None:
         self._console.print(f"[yellow]doojax view: {escape(text)}[/]", highlight=False)
-        place.content = "\n".join(f"> **{line}**  " for line in text.splitlines())
+        place.content = "\n".join(f"> **{plain(line)}**  " for line in text.splitlines())
         place.visible = True
 
     def stage(self, corners: Float[np.ndarray, "K 3"], floor: float | None, from_above: bool) -> None:

@@ -10,13 +10,13 @@ from jaxtyping import Float
 from doojax.experiments.drawing import Colour
 from doojax.viewer import colours
 
-HEIGHT = 150  # pixels
+HEIGHT, PADDING = 150, (10, 14, 0, 0)  # pixels
 BINS = 24
 LINES: tuple[Colour, ...] = (colours.ROPE, colours.CHOSEN, colours.GOAL, colours.PREDICTION)
 
 
 class TimePlot:
-    """Curves over the states of what is shown, with a mark at the present moment."""
+    """Curves over the states of what is shown, with a mark at the present moment once `mark` has set it."""
 
     def __init__(self, gui: viser.GuiApi, title: str):
         """An empty plot in the page's current folder."""
@@ -32,7 +32,6 @@ class TimePlot:
         """Show other curves, one value a state, and horizontal lines at the heights ``levels``."""
         levels = levels or {}
         count = max((len(values) for values in curves.values()), default=0)
-        states = np.arange(count, dtype=float)
         lines = {name: np.asarray(values, dtype=float) for name, values in curves.items()}
         lines |= {name: np.full(count, height) for name, height in levels.items()}
         finite = [values[np.isfinite(values)] for values in lines.values()]
@@ -43,52 +42,45 @@ class TimePlot:
         low, high = float(everything.min()), float(everything.max())
         room = 0.05 * (high - low) or 0.5
         self._bounds = low - room, high + room
-        self._data = (states, *lines.values())
-        if self._handle is None or self._names != tuple(lines):
-            self._drop()
-            self._names = tuple(lines)
-            series: list[viser.uplot.Series] = [viser.uplot.Series(label="state")]
-            for index, name in enumerate(lines):
-                level = name in levels
-                line = viser.uplot.Series(
-                    label=name,
-                    stroke=_css(colours.PALE_INK if level else LINES[index % len(LINES)]),
-                    width=1 if level else 2,
-                    points={"show": False},
-                )
-                if level:
-                    line["dash"] = (4, 4)
-                series.append(line)
-            now = viser.uplot.Series(label="now", stroke=_css(colours.INK), width=1, points={"show": False})
-            with self._folder:
-                self._handle = self._gui.add_uplot(
-                    self._with_mark(0),
-                    (*series, now),
-                    title=self._title,
-                    scales=self._scales(),
-                    height=HEIGHT,
-                    legend={"show": len(lines) > 1, "live": False},
-                    padding=(10, 14, 0, 0),
-                )
-        else:
+        self._data = (np.arange(count, dtype=float), *lines.values())
+        self._marked = -1
+        if self._handle is not None and self._names == tuple(lines):
             self._handle.scales = self._scales()
-            self._handle.data = self._with_mark(0)
-        self._marked = 0
+            self._handle.data = self._with_mark(-1)
+            return
+        self._drop()
+        self._names = tuple(lines)
+        series = [_line(name, index, name in levels) for index, name in enumerate(lines)]
+        now = viser.uplot.Series(label="now", stroke=_css(colours.INK), width=1, points={"show": False})
+        with self._folder:
+            self._handle = self._gui.add_uplot(
+                self._with_mark(-1),
+                (viser.uplot.Series(label="state"), *series, now),
+                title=self._title,
+                scales=self._scales(),
+                height=HEIGHT,
+                legend={"show": len(lines) > 1, "live": False},
+                padding=PADDING,
+            )
 
     def mark(self, moment: float) -> None:
-        """Move the mark to the state nearest to a moment."""
+        """Move the mark to the state before a moment."""
         state = int(moment)
         if self._handle is not None and state != self._marked:
             self._marked = state
             self._handle.data = self._with_mark(state)
 
     def _with_mark(self, state: int) -> tuple[Float[np.ndarray, "K"], ...]:
-        """The curves with two more points at ``state``, where the mark leaves the bottom and comes back."""
+        """The curves with two more points at ``state``, where the mark leaves the bottom and comes back.
+
+        -1 stands for no mark.
+        """
         states, *lines = self._data
         at = int(np.clip(state, 0, len(states) - 1))
         low, high = self._bounds
-        mark = np.full(len(states) + 2, low)
-        mark[at + 1] = high
+        mark = np.full(len(states) + 2, low if state >= 0 else np.nan)
+        if state >= 0:
+            mark[at + 1] = high
         return (*(np.insert(line, at, [line[at]] * 2) for line in (states, *lines)), mark)
 
     def _scales(self) -> dict[str, viser.uplot.Scale]:
@@ -99,6 +91,23 @@ class TimePlot:
             self._handle.remove()
             self._handle = None
         self._names = ()
+
+
+def add_epoch_plot(gui: viser.GuiApi, title: str, curves: Mapping[str, Float[np.ndarray, "E"]]) -> None:
+    """A plot of curves with one value an epoch, of logarithmic height where all values are positive."""
+    lines = [np.asarray(values, dtype=float) for values in curves.values()]
+    gui.add_uplot(
+        (np.arange(len(lines[0]), dtype=float) + 1, *lines),
+        (viser.uplot.Series(label="epoch"), *(_line(name, index) for index, name in enumerate(curves))),
+        title=title,
+        scales={
+            "x": viser.uplot.Scale(time=False),
+            "y": viser.uplot.Scale(distr=3 if min(line.min() for line in lines) > 0 else 1),
+        },
+        height=HEIGHT,
+        legend={"show": len(lines) > 1, "live": False},
+        padding=PADDING,
+    )
 
 
 class Histogram:
@@ -139,8 +148,20 @@ class Histogram:
                 scales={"x": {"time": False}},
                 height=HEIGHT,
                 legend={"show": False},
-                padding=(10, 14, 0, 0),
+                padding=PADDING,
             )
+
+
+def _line(name: str, index: int, level: bool = False) -> viser.uplot.Series:
+    line = viser.uplot.Series(
+        label=name,
+        stroke=_css(colours.PALE_INK if level else LINES[index % len(LINES)]),
+        width=1 if level else 2,
+        points={"show": False},
+    )
+    if level:
+        line["dash"] = (4, 4)
+    return line
 
 
 def _css(colour: Colour) -> str:

@@ -1,9 +1,5 @@
 """A prediction record in the page: what a model expected beside what happened."""
 
-import json
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from jaxtyping import Float
 
@@ -15,6 +11,7 @@ from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
 from doojax.viewer.selection import Selection
 from doojax.viewer.show import WORST_ERROR, show_grid, show_prediction
+from doojax.viewer.text import listed, plain
 
 LEGEND = f"""orange: what happened; violet: predicted  
 beads: error, blue 0 to red {100 * WORST_ERROR:.0f} cm"""
@@ -37,7 +34,7 @@ class PredictionPage:
             self._errors = 100 * np.sqrt((record.errors() ** 2).mean(-1))
         columns = self._columns()
         gui = page.server.gui
-        gui.add_markdown(f"**{record.task.replace('_', ' ')} · predictions**  \n`{name}`")
+        gui.add_markdown(f"**{plain(record.task.replace('_', ' '))} · predictions**  \n{plain(name)}")
         self._selection = Selection(page, len(record.start), "prediction", self._load)
         self.player = Player(page, self._show, "Steps ahead")
         self._facts = gui.add_markdown("")
@@ -122,7 +119,7 @@ class PredictionPage:
             if np.isfinite(values[index, step]):
                 bound = record.thresholds.get(name)
                 beside = "" if bound is None else f" (threshold {bound:.3g})"
-                lines.append(f"{name} {values[index, step]:.3g}{beside}")
+                lines.append(f"{plain(name)} {values[index, step]:.3g}{beside}")
         self._facts.content = "  \n".join(lines)
 
     def _show_input(self) -> None:
@@ -138,8 +135,3 @@ class PredictionPage:
             self._page.drawing.remove("input")
         else:
             show_grid(self._page.drawing, record, index, int(self._layer.value) if layered else None)
-
-
-def listed(about: Mapping[str, Any]) -> str:
-    """Names and values as Markdown."""
-    return "  \n".join(f"{name}: `{json.dumps(value)}`" for name, value in about.items())

@@ -8,8 +8,8 @@ from doojax.viewer.films import film_of_trial
 from doojax.viewer.page import Page
 from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
-from doojax.viewer.prediction_page import listed
 from doojax.viewer.show import plan_at, show_execution, show_plan, show_rope
+from doojax.viewer.text import listed, plain
 
 FOLLOW = "the one being followed"
 LEGEND = """orange: executed; yellow: recoveries; blue: chosen path; green: goal  
@@ -24,8 +24,8 @@ class TrialPage:
         self._page, self._record = page, record
         gui = page.server.gui
         ended = "reached the goal" if record.reached else "did not reach the goal"
-        about = f"**{record.task.replace('_', ' ')} · {record.method} · seed {record.seed}**  \n`{name}`"
-        gui.add_markdown(f"{about}\n\n**{ended}**: {record.end}")
+        about = plain(f"{record.task.replace('_', ' ')} · {record.method} · seed {record.seed}")
+        gui.add_markdown(f"**{about}**  \n{plain(name)}\n\n**{ended}**: {plain(record.end)}")
         self.player = Player(page, self._show)
         texts = [
             f"{i + 1}. state {event.step}: {event.kind} {event.text}" for i, event in enumerate(record.events)
@@ -89,7 +89,7 @@ class TrialPage:
         past = [event for event in record.events if event.step <= moment]
         distance = float(np.linalg.norm(record.points[int(moment), record.goal_point] - record.goal))
         lines = [f"goal {100 * distance:.1f} cm away (reached within {100 * record.goal_radius:.0f} cm)"]
-        lines += [f"last event: **{past[-1].kind}** {past[-1].text}"] if past else []
+        lines += [f"last event: **{past[-1].kind}** {plain(past[-1].text)}"] if past else []
         self._facts.content = "  \n".join(lines)
         index = plan_at(record, int(moment))
         if self._plan.value != FOLLOW:

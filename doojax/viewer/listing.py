@@ -1,0 +1,84 @@
+"""What there is to show at a path."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from doojax.datasets.files import MANIFEST, describe_contents
+from doojax.learning.runs import CONFIG, METRICS
+
+MOST_ITEMS = 2000  # in the page's list
+EXPECTATION = (
+    f"expected a folder with {MANIFEST} (a data set), a training run, a record (.npz) or a folder of them"
+)
+
+
+def find_items(path: Path) -> list[Path]:
+    """The data sets, runs and records at a path: itself, or what lies below it, links to elsewhere left out.
+
+    Raises:
+        FileNotFoundError: where there is nothing.
+        ValueError: where there is nothing that can be shown, saying what is there.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"there is nothing at {path}")
+    if path.is_file() and path.suffix != ".npz":
+        raise ValueError(f"{path} cannot be shown: {EXPECTATION}")
+    if can_be_shown(path):
+        return [path]
+    root = path.resolve()
+    found: list[Path] = []
+    folders = [path]
+    while folders and len(found) < MOST_ITEMS:
+        for item in sorted(folders.pop(0).iterdir()):
+            if item.name.startswith(".") or not item.resolve().is_relative_to(root):
+                continue
+            if can_be_shown(item):
+                found.append(item)
+            elif item.is_dir() and not item.is_symlink():
+                folders.append(item)
+    if not found:
+        raise ValueError(
+            f"{path} holds nothing that can be shown, but {describe_contents(path)}: {EXPECTATION}"
+        )
+    return found
+
+
+def can_be_shown(path: Path) -> bool:
+    """Is this a data set, a run or a file that may be a record?"""
+    return is_dataset(path) or is_run(path) or (path.suffix == ".npz" and path.is_file())
+
+
+def is_dataset(path: Path) -> bool:
+    """Is this the folder of a data set?"""
+    return (path / MANIFEST).exists()
+
+
+def is_run(path: Path) -> bool:
+    """Is this the folder of a training run?"""
+    return (path / CONFIG).exists() and (path / METRICS).exists()
+
+
+def kind_of(path: Path) -> str:
+    """A few words on what can be shown, read from no more than a file's head."""
+    if path.is_dir():
+        return "data set" if is_dataset(path) else "training run"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header = json.loads(file["header"].tobytes())
+        if header["format"] == "doojax trial":
+            ends = [event["text"] for event in header["events"] if event["kind"] == "end"]
+            return ends[-1] if ends else "no end"
+        return str(header["format"]).removeprefix("doojax ")
+    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile):
+        return "cannot be read"
+
+
+def require_inside(folder: Path, root: Path) -> None:
+    """Raise ValueError where something in a folder is a link that leads out of ``root``."""
+    root = root.resolve()
+    for item in folder.rglob("*"):
+        if item.is_symlink() and not item.resolve().is_relative_to(root):
+            raise ValueError(f"{item} leads out of {root}: it is not shown")
