@@ -57,7 +57,8 @@ def draw(axes, view, curves):
         colour, width = styles[piece]
         near = np.linalg.norm(middles[:, :2] - middles[piece, :2], axis=1) < gap
         behind = middles[:, 2] < middles[piece, 2] - gap
-        if np.any(near & behind):
+        beyond_a_corner = (owner != owner[piece]) | (np.abs(order - order[piece]) > PIECES // 10)
+        if np.any(near & behind & beyond_a_corner):
             axes.plot(
                 *np.stack([starts[piece], ends[piece]])[:, :2].T,
                 color="white",
@@ -157,6 +158,7 @@ def main():
     scene, view = page_scene(), camera(-74, 32)
     draw_scene(left, view, scene, 0.02)
     left.set_title(f"two frames: {signature(scene.grasps, scene.skeleton)}", fontsize=12)
+    explain(left, 0.7, ["(1,0): through A, not through B", "(0,1): through B, not through A"])
     for point, text, offset, dot in [
         ((1, -1, 0), "base", (26, 0), True),
         ((0.8, 1, 0), "right", (8, 16), True),
@@ -166,19 +168,31 @@ def main():
         ((1.5, 1.2, 0.2), "B", (0, 12), False),
     ]:
         mark(left, view, point, text, offset, dot=dot)
-    mark(left, view, (0.42, 0.25, -0.1), "(1,0)", colour=COLOURS[0])
-    mark(left, view, (1.2, 0.35, 0), "(0,1)", colour=COLOURS[1])
+    mark(left, view, (1, -1, -0.6), "path to the wall, through the floor", (110, -6), colour=COLOURS[0])
+    mark(left, view, (0.9, 0, 0), "right arm", (-36, 8))
+    mark(left, view, (1.4, 0, 0), "left arm", (36, -8))
 
     scene, view = read_scene(THREADING), camera(-62, 28)
     draw_scene(right, view, scene, 0.014)
     right.set_title(f"threading: {signature(scene.grasps, scene.skeleton)}", fontsize=12)
+    explain(right, 0.545, ["(1,0,0): through loop1", "(0,1,1): loop2 and loop3"])
     held = [scene.grasps.rope[0], *scene.grasps.gripper_paths[:, -1], scene.grasps.base]
     offsets = [(26, 0), (-4, 20), (-22, -14), (28, -4)]
     for point, text, offset in zip(held, ["plug", "left", "right", "base"], offsets, strict=True):
         mark(right, view, point, text, offset, dot=True)
     for name, loop in zip(scene.skeleton.names, scene.skeleton.loops, strict=True):
         mark(right, view, loop[3], name, (10, 12))
+    for arm, text, offset in [(0, "left arm", (-44, 0)), (1, "right arm", (36, 4))]:
+        mark(right, view, scene.grasps.gripper_paths[arm, 6], text, offset)
+    mark(right, view, (0.4, 0.3, -0.8), "path to the plug, through the floor", (34, -22), colour=COLOURS[0])
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=110)
+
+
+def explain(axes, across, lines):
+    """Say inside of a scene what the vector of each grasp loop means, in the loop's colour."""
+    for line, (text, colour) in enumerate(zip(lines, COLOURS, strict=True)):
+        at = (across, 0.3 - 0.05 * line)
+        axes.text(*at, text, transform=axes.transAxes, ha="center", color=colour, fontsize=11)
 
 
 def page_scene():
