@@ -1,9 +1,10 @@
 """Kinodynamic RRT that grows many branches at once (LaValle and Kuffner 2001; thesis section 2.3.5).
 
 A tree lives in arrays of a fixed size: slot 0 is the start, and every attempted extension takes the next
-slot, whether it was accepted or not. An expansion is three calls, each for all lanes of all problems:
-propose (sample, nearest node, action), propagate (the dynamics), insert (the constraint, the goal). The
-middle one may run outside of JAX, so that a simulator serves as well as a learned model.
+slot, whether it was accepted or not. An expansion has three parts, each for all lanes of all problems:
+propose (sample, nearest node, action), propagate (the dynamics), insert (the constraint, the goal). Many
+expansions are one compiled call; where the dynamics run outside of JAX, as a simulator in C does, each part
+is a call of its own.
 
 A lane carries one action along for several steps, as the thesis's planner does, until its duration is over
 or a step is rejected; then it starts anew at the node nearest to a fresh sample. Every step is an extension,
@@ -26,12 +27,14 @@ from doojax.planning.tree import Problem, Tree
 from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
 
+AT_ONCE = 64  # expansions in one call
+
 
 @dataclass(frozen=True)
 class RrtSettings:
     """How a tree is grown."""
 
-    lanes: int = 32  # extensions tried at once
+    lanes: int = 64  # extensions tried at once
     extensions: int = 8192  # attempts before the search is given up
     goal_bias: float = 0.3  # probability that a lane heads for the goal
     duration: int = 20  # an action is held for up to this many steps, uniformly
@@ -90,26 +93,64 @@ def search(planner: Rrt, problem: Problem) -> Tree:
 
     The trees of a batch do not depend on one another.
     """
-    task, settings = planner.task, planner.settings
-    tree, lanes = _start(task, settings, problem)
-    for expansion in range(settings.expansions):
-        first = jnp.asarray(1 + expansion * settings.lanes, dtype=jnp.int32)
-        lanes, parents = _propose(task, settings, planner.sampler, problem, tree, lanes, first)
-        after, uncertainty = propagate(planner.dynamics, problem.obstacles, parents, lanes.action)
-        tried = (problem, lanes, parents, after, uncertainty)
-        tree, lanes = _insert((settings, planner.reliability, first, *tried), tree)
+    settings = planner.settings
+    grow = _grow_outside if isinstance(planner.dynamics, HostDynamics) else _grow
+    tree, lanes = _start(planner.task, settings, problem)
+    first, end = 1, 1 + settings.expansions * settings.lanes
+    while first < end:
+        until = min(first + AT_ONCE * settings.lanes, end)
+        slots = jnp.asarray([first, until], dtype=jnp.int32)
+        tree, lanes = grow((planner, problem, lanes, slots), tree)
         if np.asarray(tree.solved | tree.stuck).all():
             break
+        first = until
     return tree
 
 
 def propagate(
     dynamics: Dynamics | HostDynamics, obstacles: Obstacles, states: RopeState, actions: Array
 ) -> tuple[RopeState, Array]:
-    """What the dynamics give for L states of each of R problems."""
+    """What the dynamics give for L states of each of R problems: bit for bit what a search got from them."""
     if isinstance(dynamics, HostDynamics):
         return dynamics.many(obstacles, states, actions)
-    return _propagate_many(dynamics, obstacles, states, actions)
+    return _propagate_jitted(dynamics, obstacles, states, actions)
+
+
+@eqx.filter_jit(donate="all-except-first")
+def _grow(arguments: tuple, tree: Tree) -> tuple[Tree, Lanes]:
+    """Expand until all problems are done or the slots are filled."""
+    planner, problem, lanes, (first, until) = arguments
+
+    def unfinished(carry):
+        first, tree, _ = carry
+        return (first < until) & ~(tree.solved | tree.stuck).all()
+
+    def expand(carry):
+        first, tree, lanes = carry
+        lanes, parents = _propose(
+            planner.task, planner.settings, planner.sampler, problem, tree, lanes, first
+        )
+        tried = _propagate(planner.dynamics, problem.obstacles, parents, lanes.action)
+        return first + planner.settings.lanes, *_insert(planner, problem, first, tree, lanes, parents, *tried)
+
+    _, tree, lanes = jax.lax.while_loop(unfinished, expand, (first, tree, lanes))
+    return tree, lanes
+
+
+def _grow_outside(arguments: tuple, tree: Tree) -> tuple[Tree, Lanes]:
+    """The same where the dynamics cannot be compiled."""
+    planner, problem, lanes, (first, until) = arguments
+    judge = eqx.tree_at(lambda p: p.dynamics, planner, None)
+    for slot in range(int(first), int(until), planner.settings.lanes):
+        at = jnp.asarray(slot, dtype=jnp.int32)
+        lanes, parents = _propose_jitted(
+            planner.task, planner.settings, planner.sampler, problem, tree, lanes, at
+        )
+        tried = planner.dynamics.many(problem.obstacles, parents, lanes.action)
+        tree, lanes = _insert_jitted((judge, problem, at, lanes, parents, *tried), tree)
+        if np.asarray(tree.solved | tree.stuck).all():
+            break
+    return tree, lanes
 
 
 @eqx.filter_jit
@@ -117,7 +158,6 @@ def _start(task: Task, settings: RrtSettings, problem: Problem) -> tuple[Tree, L
     return jax.vmap(lambda one: _start_one(task, settings, one))(problem)
 
 
-@eqx.filter_jit
 def _propose(
     task: Task,
     settings: RrtSettings,
@@ -133,16 +173,25 @@ def _propose(
     return jax.vmap(one)(problem, tree, lanes)
 
 
-@eqx.filter_jit
-def _propagate_many(dynamics, obstacles, states, actions):
-    over_lanes = jax.vmap(dynamics, in_axes=(None, 0, 0))
-    return jax.vmap(over_lanes)(obstacles, states, actions)
+def _propagate(dynamics, obstacles, states, actions):
+    return jax.vmap(jax.vmap(dynamics, in_axes=(None, 0, 0)))(obstacles, states, actions)
+
+
+def _insert(planner: Rrt, problem: Problem, first: Int[Array, ""], tree: Tree, *tried) -> tuple[Tree, Lanes]:
+    def one(tree, problem, *tried):
+        return _insert_one(planner.settings, planner.reliability, first, tree, problem, *tried)
+
+    return jax.vmap(one)(tree, problem, *tried)
+
+
+_propose_jitted = eqx.filter_jit(_propose)
+_propagate_jitted = eqx.filter_jit(_propagate)
 
 
 @eqx.filter_jit(donate="all-except-first")
-def _insert(arguments: tuple, tree: Tree) -> tuple[Tree, Lanes]:
-    settings, reliability, first, *batched = arguments
-    return jax.vmap(lambda *one: _insert_one(settings, reliability, first, *one))(tree, *batched)
+def _insert_jitted(arguments: tuple, tree: Tree) -> tuple[Tree, Lanes]:
+    planner, problem, first, *tried = arguments
+    return _insert(planner, problem, first, tree, *tried)
 
 
 def _start_one(task: Task, settings: RrtSettings, problem: Problem) -> tuple[Tree, Lanes]:

@@ -17,8 +17,7 @@ from doojax.experiments.methods import RECIPES
 from doojax.experiments.records import load_record
 from doojax.experiments.scenes import draw_scenes, save_scenes
 from doojax.experiments.trial import Method
-from doojax.models import Always
-from tests.planning.problems import Towed
+from tests.planning.problems import BLIND, Towed
 
 from .test_trial import counted
 from .toy_trials import METHODS, PLANNING, SETTINGS, SIMULATOR, TOY, trials
@@ -142,8 +141,8 @@ class Poisoned:
 def test_a_trial_that_crashes_is_recorded_and_takes_no_other_along():
     some = trials()
     tail = SIMULATOR.observations(some.starts).rope.points[1, 0]
-    blind = Method("blind", Towed(), Always())
-    poisoned = Method("poisoned", Poisoned(tail), Always())
+    blind = Method("blind", Towed(), BLIND)
+    poisoned = Method("poisoned", Poisoned(tail), BLIND)
     ran = attempted(TOY, SIMULATOR, poisoned, PLANNING, SETTINGS, some)
     healthy = attempted(TOY, SIMULATOR, blind, PLANNING, SETTINGS, some)
     assert ran[1].end == "crashed: RuntimeError: no such rope"

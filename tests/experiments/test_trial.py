@@ -9,9 +9,9 @@ import pytest
 
 from doojax.experiments.records import load_record, save_record
 from doojax.experiments.trial import REACHED, STUCK, Method, TrialSettings, replay, run_trials
-from doojax.models import Always
 from doojax.simulation.state import Fault
 from doojax.tasks.toy import ToySimulator
+from tests.planning.problems import BLIND
 
 from .toy_trials import GOALS, METHODS, PLANNING, SETTINGS, SIMULATOR, TOY, Towed, records, trials
 
@@ -128,7 +128,7 @@ class Fragile(ToySimulator):
 
 def test_a_simulation_that_breaks_down_ends_its_trial_alone(tmp_path):
     fragile = Fragile(scene=TOY.scene, phase="constrained")
-    method = Method("blind", Towed(), Always())
+    method = Method("blind", Towed(), BLIND)
     ran = run_trials(TOY, fragile, method, PLANNING, SETTINGS, trials())
     ends = [record.end for record in ran]
     assert "the simulation became unstable" in ends and len(set(ends)) > 1

@@ -6,12 +6,11 @@ import jax
 import jax.numpy as jnp
 
 from doojax.experiments.trial import Method, Trials, TrialSettings, run_trials
-from doojax.models import Always, CollisionChecker
 from doojax.planning import RrtSettings, point_goal, simulated, simulated_start
 from doojax.planning.recovery import RandomRecovery
 from doojax.tasks import make_task
 from doojax.tasks.toy import HEIGHT
-from tests.planning.problems import Never, Towed
+from tests.planning.problems import BLIND, CAREFUL, TIMID, Towed
 
 TOY = make_task("toy")
 SIMULATOR = TOY.simulator()
@@ -19,11 +18,11 @@ PLANNING = RrtSettings(lanes=16, extensions=480, duration=8, candidates=2, stuck
 SETTINGS = TrialSettings(searches=4, actions=60)
 
 METHODS = {
-    "classifier": Method("classifier", Towed(), CollisionChecker(margin=0.012)),
-    "no_classifier": Method("no_classifier", Towed(), Always()),
-    "oracle": Method("oracle", simulated(SIMULATOR), Always(), begin=simulated_start),
-    "timid": Method("timid", Towed(), Never()),
-    "random_recovery": Method("random_recovery", Towed(), Never(), RandomRecovery()),
+    "classifier": Method("classifier", Towed(), CAREFUL),
+    "no_classifier": Method("no_classifier", Towed(), BLIND),
+    "oracle": Method("oracle", simulated(SIMULATOR), BLIND, begin=simulated_start),
+    "timid": Method("timid", Towed(), TIMID),
+    "random_recovery": Method("random_recovery", Towed(), TIMID, RandomRecovery()),
 }
 GOALS = ((-0.3, 0.1), (0.3, -0.1), (-0.2, -0.3))  # the second behind the wall
 

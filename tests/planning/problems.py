@@ -4,8 +4,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from doojax.geometry.frames import quaternion_from_yaw
+from doojax.geometry.sdf import signed_distance
 from doojax.planning import Problem, point_goal
 from doojax.tasks import make_task
 from doojax.tasks.toy import HEIGHT, PITCH, straight
@@ -14,10 +16,19 @@ from doojax.types import Obstacles, RopeState, ShapeKind
 TOY = make_task("toy")
 
 
+TRACES = []  # one entry whenever the dynamics are compiled into something
+
+
 class Towed(eqx.Module):
-    """The gripper gets where it is sent and the rope follows."""
+    """The gripper gets where it is sent and the rope follows; NaN where the gripper gets too far along x.
+
+    What differs between tests is data, so that one compiled search serves them all.
+    """
+
+    farthest: Array = eqx.field(default_factory=lambda: jnp.array(jnp.inf))
 
     def __call__(self, obstacles, state, action):
+        TRACES.append(1)
         gripper = state.grippers[0] + action[0]
 
         def pull(leader, point):
@@ -27,16 +38,21 @@ class Towed(eqx.Module):
             return follower, follower
 
         _, behind = jax.lax.scan(pull, gripper, state.points[:-1], reverse=True)
-        return RopeState(jnp.concatenate([behind, gripper[None]]), gripper[None]), jnp.zeros(())
+        after = RopeState(jnp.concatenate([behind, gripper[None]]), gripper[None])
+        bad = gripper[0] > self.farthest
+        return jax.tree.map(lambda leaf: jnp.where(bad, jnp.nan, leaf), after), jnp.zeros(())
 
 
-class Never(eqx.Module):
-    """Accepts nothing."""
+class Clearance(eqx.Module):
+    """Accepts ropes whose points keep a distance from the wall; everything or nothing at an infinite one."""
 
-    threshold: float = 0.5
+    threshold: Array
 
     def __call__(self, obstacles, state, action, next_state, uncertainty):
-        return jnp.zeros(())
+        return signed_distance(obstacles, next_state.points).min()
+
+
+CAREFUL, BLIND, TIMID = (Clearance(jnp.array(threshold)) for threshold in (0.012, -jnp.inf, jnp.inf))
 
 
 def walls(*, centre=(0.15, -0.1), half=(0.02, 0.3), yaw=0.0, active=True) -> Obstacles:
