@@ -50,7 +50,8 @@ class Camera:
         local = (points - self.eye) @ self.axes.T
         depth = local[..., 2]
         scale = self.scale / np.maximum(depth, 1e-6) if self.span is None else self.scale
-        return self.width / 2 + local[..., 0] * scale, self.height / 2 - local[..., 1] * scale, depth
+        column, row = self.width / 2 + local[..., 0] * scale, self.height / 2 - local[..., 1] * scale
+        return np.asarray(column), np.asarray(row), np.asarray(depth)
 
     def rays(self, rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray]:
         """Origins and directions, [h, w, 3] or broadcastable; a direction's depth is one metre."""

@@ -1,11 +1,11 @@
 """Curves and triangle meshes of what is shown; pure numpy."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Integer
 
 from doojax.types import ShapeKind
 
-Mesh = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]
+Mesh = tuple[Float[np.ndarray, "_ 3"], Integer[np.ndarray, "_ 3"]]  # vertices, faces
 SIDES = 10  # of a tube
 BETWEEN = 4  # pieces that a smooth curve cuts each segment into
 
@@ -78,7 +78,7 @@ def _cap(
     return centre + radius * (up * outward + out * around)
 
 
-def _ring_faces(rings: int, sides: int) -> Int[np.ndarray, "F 3"]:
+def _ring_faces(rings: int, sides: int) -> Integer[np.ndarray, "_ 3"]:
     ring, side = np.meshgrid(np.arange(rings - 1), np.arange(sides), indexing="ij")
     a, b = ring * sides + side, ring * sides + (side + 1) % sides
     faces = np.stack([a, b, a + sides, b, b + sides, a + sides], axis=-1)
