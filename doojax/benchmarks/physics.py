@@ -19,12 +19,11 @@ from doojax.datasets.collect import random_trajectories
 from doojax.experiments.reports import Row, row, write_summary
 from doojax.geometry.curves import catenary, clamped_elastica
 from doojax.simulation.build import with_parameters
-from doojax.simulation.engines import available_engines, make_simulator
-from doojax.simulation.rope import RopeModel, RopeParameters
-from doojax.simulation.scenes import Gripper, Scene, parked_poses
-from doojax.simulation.state import SimState
+from doojax.simulation.engines import make_simulator, resolve_engine
+from doojax.simulation.rope import RopeKind, RopeModel, RopeParameters
+from doojax.simulation.scenes import Gripper, Scene
 from doojax.tasks import make_task
-from doojax.tasks.starts import straight_qpos
+from doojax.tasks.starts import at_rest, straight_qpos
 
 DEPTH = 0.002  # m inside an obstacle that is not counted
 PERIODS = 20  # actions of a random trajectory
@@ -50,12 +49,10 @@ def physics(
         out: the folder of summary.json.
 
     Raises:
-        ValueError: for an engine that is not here, or fewer than one trajectory.
+        ValueError: for an unknown engine, or fewer than one trajectory.
+        ModuleNotFoundError: for an engine that is not installed.
     """
-    engines = engines or ("mujoco", "mjx")
-    for engine in engines:
-        if engine not in available_engines():
-            raise ValueError(f"engine {engine!r} is not here, only {', '.join(available_engines())}")
+    engines = tuple(map(resolve_engine, engines or ("mujoco", "mjx")))
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}, expected at least 1")
     console, rows = Console(stderr=True), []
@@ -78,7 +75,7 @@ def soundness(task: str, trajectories: int) -> list[Row]:
     the_task = make_task(task)
     simulator = the_task.simulator("mujoco", "constrained")
     keys = jax.random.split(jax.random.key(SEED), trajectories)
-    _, seen = random_trajectories(the_task, simulator, keys, PERIODS, "constrained")
+    _, _, seen = random_trajectories(the_task, simulator, keys, PERIODS, "constrained")
     clearance, stretch = np.asarray(seen.clearance)[:, 1:], np.asarray(seen.stretch)
     deep = (clearance < -DEPTH).mean()
     half = 1.96 * np.sqrt(max(deep * (1 - deep), 1e-12) / clearance.size)
@@ -95,7 +92,7 @@ def soundness(task: str, trajectories: int) -> list[Row]:
 def hanging(engine: str) -> list[Row]:
     """The rope of `dual_gripper`, 0.8 m, hung from two points 0.5 m apart, beside the catenary."""
     scene = replace(make_task("dual_gripper").scene, obstacles=())
-    states = straight(scene, 1, height=1.5)
+    states = at_rest(scene, straight_qpos(scene, 1.5)[None])
     inward = np.array([[0.15, 0, 0], [-0.15, 0, 0]]) / 2
     actions = np.concatenate([np.tile(inward, (1, 2, 1, 1)), np.zeros((1, 12, 2, 3))], axis=1)
     simulator = make_simulator(scene, lambda key: states, engine)
@@ -114,18 +111,11 @@ def hanging(engine: str) -> list[Row]:
 
 def sagging(engine: str, links: int) -> list[Row]:
     """How far the tips of clamped ropes of three stiffnesses are from where the elastica says, relatively."""
-    ropes = [
-        RopeParameters(0.5, 0.005, 0.05, ei, twisting_stiffness=ei, bending_damping=0.3 * ei)
-        for ei in STIFFNESSES
-    ]
-    clamp = Gripper(
-        link=0, end=0, radius=0.01, max_force=5e4, max_speed=1.0, inertia=1e3, stiffness=2.5e6, hold="rigid"
-    )
-    model = RopeModel("capsule_chain", links)
-    rows, pitch = [], 0.5 / links
-    scene = Scene("clamped", model, ropes[0], (clamp,), floor=False, timestep=0.004, substeps=250)
+    scenes = [clamped_scene(links, stiffness) for stiffness in STIFFNESSES]
+    scene, ropes = scenes[0], [one.rope for one in scenes]
+    rows, pitch = [], scene.rope.length / links
     fields = {name: jnp.asarray(value) for name, value in with_parameters(scene, ropes).items()}
-    states = replace(straight(scene, len(ropes), height=1.0), model_fields=fields)
+    states = replace(at_rest(scene, np.tile(straight_qpos(scene, 1.0), (len(ropes), 1))), model_fields=fields)
     simulator = make_simulator(scene, lambda key: states, engine)
     last, _ = simulator.rollout(states, jnp.zeros((len(ropes), 20, 1, 3)))
     points = np.asarray(simulator.observations(last).rope.points)
@@ -137,6 +127,22 @@ def sagging(engine: str, links: int) -> list[Row]:
         error = abs((own[-1, 2] - own[0, 2]) / sag - 1)
         rows.append(row("elastica_relative_error", tags, error, ""))
     return rows
+
+
+def clamped_scene(links: int, stiffness: float, kind: RopeKind = "capsule_chain") -> Scene:
+    """A rope of 0.5 m and 50 g held rigidly by the middle of link 0, in one-second control periods."""
+    rope = RopeParameters(
+        0.5,
+        0.005,
+        0.05,
+        bending_stiffness=stiffness,
+        twisting_stiffness=stiffness,
+        bending_damping=0.3 * stiffness,
+    )
+    clamp = Gripper(
+        link=0, end=0, radius=0.01, max_force=5e4, max_speed=1.0, inertia=1e3, stiffness=2.5e6, hold="rigid"
+    )
+    return Scene("clamped", RopeModel(kind, links), rope, (clamp,), floor=False, timestep=0.004, substeps=250)
 
 
 def gaps(task: str, engine: str) -> list[Row]:
@@ -163,17 +169,3 @@ def gaps(task: str, engine: str) -> list[Row]:
         p = min(test.pvalue for test in tests)  # pyright: ignore[reportAttributeAccessIssue]
         rows.append(row("engine_distribution_p", tags, p, "", n=GAP_STATES))
     return rows
-
-
-def straight(scene: Scene, batch: int, height: float) -> SimState:
-    """Ropes straight along x at ``height`` (m), at rest, obstacles parked."""
-    position, quaternion = parked_poses(len(scene.obstacles))
-    return SimState(
-        qpos=jnp.tile(jnp.asarray(straight_qpos(scene, height), dtype=jnp.float32), (batch, 1)),
-        qvel=jnp.zeros((batch, scene.nv)),
-        obstacle_position=jnp.tile(position, (batch, 1, 1)),
-        obstacle_quaternion=jnp.tile(quaternion, (batch, 1, 1)),
-        holding=jnp.ones((batch, len(scene.grippers)), dtype=bool),
-        faults=jnp.zeros(batch, dtype=jnp.int32),
-        model_fields={},
-    )

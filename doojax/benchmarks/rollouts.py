@@ -23,7 +23,7 @@ from rich.table import Table
 
 from doojax.datasets.collect import random_trajectories
 from doojax.experiments.reports import Row, row, write_summary
-from doojax.simulation.engines import available_engines
+from doojax.simulation.engines import available_engines, resolve_engine
 from doojax.simulation.engines.bare import bare_rollout
 from doojax.simulation.state import SimState, Simulator
 from doojax.tasks import make_task
@@ -58,12 +58,10 @@ def rollouts(
 
     Raises:
         ValueError: for an unknown task or engine, or a batch below 1.
+        ModuleNotFoundError: for an engine that is not installed.
     """
     the_task = make_task(task)
-    engines = engines or available_engines()
-    for engine in engines:
-        if engine not in available_engines():
-            raise ValueError(f"engine {engine!r} is not here, only {', '.join(available_engines())}")
+    engines = tuple(map(resolve_engine, engines or available_engines()))
     if min(batches, default=0) < 1:
         raise ValueError(f"batches are {batches}, expected one or more numbers of at least 1")
     console, rows, compile_s = Console(stderr=True), [], {}
@@ -102,8 +100,7 @@ def sampled_states(task: Task, contact: bool, count: int) -> tuple[SimState, jax
     phase = "constrained" if contact else "unconstrained"
     simulator = task.simulator("mujoco", phase)
     keys = jax.random.split(jax.random.key(SEED), SAMPLES)
-    start, seen = random_trajectories(task, simulator, keys, PERIODS, phase)
-    last, _ = simulator.rollout(start, seen.actions)
+    _, last, seen = random_trajectories(task, simulator, keys, PERIODS, phase)
     wanted = np.asarray(seen.clearance[:, -1]) < TOUCHING if contact else np.ones(SAMPLES, dtype=bool)
     if not wanted.any():
         raise RuntimeError(f"no random trajectory of {task.name} ended in contact")

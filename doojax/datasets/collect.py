@@ -79,7 +79,7 @@ def collect(
         bar = progress.add_task(f"{task} on {engine}", total=sum(len(row) for row in rows), rate="")
         for shard, row in zip(missing, rows, strict=True):
             keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(jnp.array(row))
-            start, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
+            start, _, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
             _require_room(start, row)
             writer.write(shard, stored_arrays(simulator, start, trajectory, np.array(row)))
             faulty += int(np.any(np.asarray(trajectory.faults) != 0, axis=1).sum())
@@ -95,8 +95,8 @@ def collect(
 
 def random_trajectories(
     task: Task, simulator: Simulator, keys: Array, periods: int, phase: Phase
-) -> tuple[SimState, Trajectory]:
-    """One trajectory of random actions for each of B ``keys``: the starts and what was seen."""
+) -> tuple[SimState, SimState, Trajectory]:
+    """One trajectory of random actions for each of B ``keys``: first and last states, and what was seen."""
     start_keys, action_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
     start = state = jax.jit(jax.vmap(simulator.reset))(start_keys)
     sample = jax.jit(jax.vmap(lambda key, rope, previous: task.sample_action(key, rope, previous, phase)))
@@ -109,7 +109,7 @@ def random_trajectories(
         state, part = simulator.rollout(state, action[:, None])
         rope = jax.tree.map(lambda leaf: leaf[:, -1], part.states)
         parts.append(part)
-    return start, joined(parts)
+    return start, state, joined(parts)
 
 
 def joined(parts: list[Trajectory]) -> Trajectory:

@@ -21,6 +21,7 @@ Phase = Literal["unconstrained", "constrained"]
 """Phase one: no obstacles, nothing overstretched. Phase two: everything that can get in the way."""
 
 CANDIDATES = 32  # tried at once where a sample may be invalid
+REPEAT_PROBABILITY = 0.8  # of the previous action
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,31 @@ def first_valid(
 def short_enough(action: Float[Array, "G 3"], longest: float) -> Bool[Array, ""]:
     """Is every gripper's displacement at most ``longest`` (m), but for rounding?"""
     return (jnp.linalg.norm(action, axis=-1) <= (1 + 1e-5) * longest).all()
+
+
+def repeated_or_drawn(
+    task: Task, key: Array, state: RopeState, previous: Float[Array, "G 3"], phase: Phase
+) -> Float[Array, "G 3"]:
+    """``previous`` with probability 0.8 if it is valid and not zero, else the first valid one drawn anew.
+
+    Where none of those drawn is valid, the task's retreat.
+    """
+    repeat_key, draw_key = jax.random.split(key)
+    repeat = (jax.random.uniform(repeat_key) < REPEAT_PROBABILITY) & (previous != 0).any()
+
+    def valid(action):
+        return task.valid_action(state, action, phase)
+
+    fresh = first_valid(draw_key, task.draw_action, valid, fallback=task.retreat(state, phase))
+    return jnp.where(repeat & valid(previous), previous, fresh)
+
+
+def planar_action(key: Array, longest: float) -> Float[Array, "1 3"]:
+    """One gripper's displacement in the plane: uniform in direction, and in length up to ``longest`` (m)."""
+    angle_key, length_key = jax.random.split(key)
+    angle = jax.random.uniform(angle_key, minval=-jnp.pi, maxval=jnp.pi)
+    length = jax.random.uniform(length_key, maxval=longest)
+    return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
 
 
 def check_phase(phase: str) -> None:

@@ -12,7 +12,7 @@ from doojax.geometry.frames import quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
-from doojax.tasks.base import Box, Phase, check_phase, first_valid, short_enough
+from doojax.tasks.base import Box, Phase, check_phase, first_valid, repeated_or_drawn, short_enough
 from doojax.types import Obstacles, RopeState, ShapeKind
 
 LINKS, LENGTH, RADIUS = 25, 0.8, 0.01
@@ -35,7 +35,6 @@ MAX_GAP = {
     "constrained": 0.78,
 }  # m between the grippers
 MAX_ACTION = 0.10  # m, each gripper
-REPEAT_PROBABILITY = 0.8
 BANK = 128
 SETTLE_PERIODS = 4
 
@@ -139,14 +138,7 @@ class DualGripper:
         the released code. Redrawn if a target leaves the reach or the grippers part by more than the phase
         allows; failing that the grippers close in on each other.
         """
-        repeat_key, draw_key = jax.random.split(key)
-        repeat = (jax.random.uniform(repeat_key) < REPEAT_PROBABILITY) & (previous != 0).any()
-
-        def valid(action):
-            return self.valid_action(state, action, phase)
-
-        fresh = first_valid(draw_key, self.draw_action, valid, fallback=self.retreat(state, phase))
-        return jnp.where(repeat & valid(previous), previous, fresh)
+        return repeated_or_drawn(self, key, state, previous, phase)
 
     def draw_action(self, key: Array) -> Float[Array, "2 3"]:
         """Uniform in pitch, yaw and length, each gripper by itself."""

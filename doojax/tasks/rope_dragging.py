@@ -12,7 +12,15 @@ from doojax.geometry.frames import quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
-from doojax.tasks.base import Box, Phase, check_phase, first_valid, short_enough
+from doojax.tasks.base import (
+    Box,
+    Phase,
+    check_phase,
+    first_valid,
+    planar_action,
+    repeated_or_drawn,
+    short_enough,
+)
 from doojax.types import Obstacles, RopeState, ShapeKind
 
 LINKS, RADIUS = 10, 0.02
@@ -21,7 +29,6 @@ ARENA = 1.0  # m from the centre to a wall's middle
 EXTENT = Box((-1.2, -1.2, 0.0), (1.2, 1.2, 1.0))  # of gripper targets
 WORKSPACE = Box((-0.95, -0.95, RADIUS), (0.95, 0.95, RADIUS))  # within the walls
 MAX_ACTION = 0.15  # m
-REPEAT_PROBABILITY = 0.8
 BANK = 64
 
 
@@ -109,21 +116,11 @@ class RopeDragging:
 
         The direction and the length are uniform; targets outside the arena's extent (1.2 m) are redrawn.
         """
-        repeat_key, draw_key = jax.random.split(key)
-        repeat = (jax.random.uniform(repeat_key) < REPEAT_PROBABILITY) & (previous != 0).any()
-
-        def valid(action):
-            return self.valid_action(state, action, phase)
-
-        fresh = first_valid(draw_key, self.draw_action, valid, fallback=self.retreat(state, phase))
-        return jnp.where(repeat & valid(previous), previous, fresh)
+        return repeated_or_drawn(self, key, state, previous, phase)
 
     def draw_action(self, key: Array) -> Float[Array, "1 3"]:
         """Uniform in direction and in length."""
-        angle_key, length_key = jax.random.split(key)
-        angle = jax.random.uniform(angle_key, minval=-jnp.pi, maxval=jnp.pi)
-        length = jax.random.uniform(length_key, maxval=MAX_ACTION)
-        return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
+        return planar_action(key, MAX_ACTION)
 
     def retreat(self, state: RopeState, phase: Phase = "constrained") -> Float[Array, "1 3"]:
         """To the nearest point of the arena's extent."""

@@ -115,16 +115,7 @@ def settle_bank(
     from doojax.simulation.engines.mujoco import MujocoSimulator
 
     count = len(starts)
-    position, quaternion = parked_poses(len(scene.obstacles))
-    states = SimState(
-        qpos=jnp.asarray(starts),
-        qvel=jnp.zeros((count, scene.nv)),
-        obstacle_position=jnp.tile(position, (count, 1, 1)),
-        obstacle_quaternion=jnp.tile(quaternion, (count, 1, 1)),
-        holding=jnp.ones((count, len(scene.grippers)), dtype=bool),
-        faults=jnp.zeros(count, dtype=jnp.int32),
-        model_fields={},
-    )
+    states = at_rest(scene, starts)
     simulator = MujocoSimulator(scene, start=lambda key: states)
     last, trajectory = simulator.rollout(states, jnp.asarray(actions))
     if np.any(trajectory.faults):
@@ -138,6 +129,21 @@ def settle_bank(
         qpos=last.qpos,
         points=jnp.concatenate([jnp.asarray(points), jnp.asarray(seen.rope.grippers)], axis=1),
         radius=jnp.array(radius),
+    )
+
+
+def at_rest(scene: Scene, qpos: Float[np.ndarray, "K nq"]) -> SimState:
+    """K states with these positions, at rest, every gripper holding the rope, all obstacles parked."""
+    count = len(qpos)
+    position, quaternion = parked_poses(len(scene.obstacles))
+    return SimState(
+        qpos=jnp.asarray(qpos, dtype=jnp.float32),
+        qvel=jnp.zeros((count, scene.nv)),
+        obstacle_position=jnp.tile(position, (count, 1, 1)),
+        obstacle_quaternion=jnp.tile(quaternion, (count, 1, 1)),
+        holding=jnp.ones((count, len(scene.grippers)), dtype=bool),
+        faults=jnp.zeros(count, dtype=jnp.int32),
+        model_fields={},
     )
 
 

@@ -12,11 +12,19 @@ from doojax.simulation.layout import Observation, clearance, stretch
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, obstacles_at, parked_poses
 from doojax.simulation.state import SimState
-from doojax.tasks.base import Box, Phase, check_phase, first_valid, short_enough
+from doojax.tasks.base import (
+    Box,
+    Phase,
+    check_phase,
+    first_valid,
+    planar_action,
+    repeated_or_drawn,
+    short_enough,
+)
 from doojax.types import Obstacles, RopeState, ShapeKind, Trajectory
 
 LINKS, PITCH, RADIUS, HEIGHT = 5, 0.05, 0.01, 0.05
-MAX_ACTION, REPEAT_PROBABILITY = 0.1, 0.8
+MAX_ACTION = 0.1
 REACH = Box((-0.5, -0.5, HEIGHT), (0.5, 0.5, HEIGHT))
 WALL = (0.15, -0.1, HEIGHT)  # centre of the one obstacle, m
 
@@ -160,21 +168,11 @@ class Toy:
         self, key: Array, state: RopeState, previous: Float[Array, "1 3"], phase: Phase = "constrained"
     ) -> Float[Array, "1 3"]:
         """A displacement of at most 0.1 m in the plane, the same as before with probability 0.8."""
-        repeat_key, draw_key = jax.random.split(key)
-        repeat = (jax.random.uniform(repeat_key) < REPEAT_PROBABILITY) & (previous != 0).any()
-
-        def valid(action):
-            return self.valid_action(state, action, phase)
-
-        fresh = first_valid(draw_key, self.draw_action, valid, fallback=self.retreat(state, phase))
-        return jnp.where(repeat & valid(previous), previous, fresh)
+        return repeated_or_drawn(self, key, state, previous, phase)
 
     def draw_action(self, key: Array) -> Float[Array, "1 3"]:
         """Uniform in direction and in length."""
-        angle_key, length_key = jax.random.split(key)
-        angle = jax.random.uniform(angle_key, minval=-jnp.pi, maxval=jnp.pi)
-        length = jax.random.uniform(length_key, maxval=MAX_ACTION)
-        return length * jnp.array([[jnp.cos(angle), jnp.sin(angle), 0.0]])
+        return planar_action(key, MAX_ACTION)
 
     def retreat(self, state: RopeState, phase: Phase = "constrained") -> Float[Array, "1 3"]:
         """To the nearest point in reach."""

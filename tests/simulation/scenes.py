@@ -1,11 +1,11 @@
 """Scenes small enough to compile in seconds."""
 
-import jax.numpy as jnp
+import numpy as np
 
 from doojax.simulation.rope import RopeModel, RopeParameters
-from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, parked_poses
+from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape
 from doojax.simulation.state import SimState
-from doojax.tasks.starts import straight_qpos
+from doojax.tasks.starts import at_rest, straight_qpos
 from doojax.types import ShapeKind
 
 
@@ -22,34 +22,9 @@ def planar_scene(substeps: int = 200, **changes) -> Scene:
     return Scene(**(settings | changes))
 
 
-def clamped_scene(links: int, stiffness: float, kind: str = "capsule_chain") -> Scene:
-    """A rope of 0.5 m and 50 g held rigidly by the middle of link 0, in one-second control periods."""
-    rope = RopeParameters(
-        0.5,
-        0.005,
-        0.05,
-        bending_stiffness=stiffness,
-        twisting_stiffness=stiffness,
-        bending_damping=0.3 * stiffness,
-    )
-    clamp = Gripper(
-        link=0, end=0, radius=0.01, max_force=5e4, max_speed=1.0, inertia=1e3, stiffness=2.5e6, hold="rigid"
-    )
-    return Scene("clamped", RopeModel(kind, links), rope, (clamp,), floor=False, timestep=0.004, substeps=250)
-
-
 def no_start(key):
     raise AssertionError("these tests make their own starts")
 
 
 def straight_states(scene: Scene, batch: int, height: float = 1.0) -> SimState:
-    position, quaternion = parked_poses(len(scene.obstacles))
-    return SimState(
-        qpos=jnp.tile(jnp.asarray(straight_qpos(scene, height), dtype=jnp.float32), (batch, 1)),
-        qvel=jnp.zeros((batch, scene.nv)),
-        obstacle_position=jnp.tile(position, (batch, 1, 1)),
-        obstacle_quaternion=jnp.tile(quaternion, (batch, 1, 1)),
-        holding=jnp.ones((batch, len(scene.grippers)), dtype=bool),
-        faults=jnp.zeros(batch, dtype=jnp.int32),
-        model_fields={},
-    )
+    return at_rest(scene, np.tile(straight_qpos(scene, height), (batch, 1)))

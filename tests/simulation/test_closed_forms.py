@@ -8,13 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from doojax.benchmarks.physics import clamped_scene
 from doojax.geometry.curves import catenary, clamped_elastica
 from doojax.simulation.build import build_model, with_parameters
 from doojax.simulation.engines.mujoco import MujocoSimulator
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Scene, SolverSettings
 from doojax.tasks.dual_gripper import default_scene
-from tests.simulation.scenes import clamped_scene, no_start, planar_scene, straight_states
+from tests.simulation.scenes import no_start, planar_scene, straight_states
 
 
 def hang(scene: Scene, periods: int):

@@ -22,7 +22,7 @@ def task(request):
 def collected(task, request):
     simulator = task.simulator("mujoco", request.param)
     keys = jax.random.split(jax.random.key(0), BATCH)
-    start, seen = random_trajectories(task, simulator, keys, PERIODS, request.param)
+    start, _, seen = random_trajectories(task, simulator, keys, PERIODS, request.param)
     return simulator, start, seen, request.param
 
 

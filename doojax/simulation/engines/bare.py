@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
 from doojax.simulation.build import build_model
+from doojax.simulation.engines.mujoco import write_state
 from doojax.simulation.layout import Layout, gripper_targets
 from doojax.simulation.scenes import Scene
 from doojax.simulation.state import SimState
@@ -23,14 +24,11 @@ def bare_rollout(
     It returns the states of every physics step, ``[B, S, 1 + nq + nv]``.
     """
     model, host = build_model(scene), jax.tree.map(np.asarray, states)
-    layout, mocap = Layout.of(scene, model), model.body_mocapid >= 0
+    layout = Layout.of(scene, model)
     models = []
     for index in range(len(host.qpos)):
-        own = copy.copy(model)
-        own.body_pos[mocap] = host.obstacle_position[index]
-        own.body_quat[mocap] = host.obstacle_quaternion[index]
-        own.eq_active0[model.neq - len(scene.grippers) :] = host.holding[index]
-        models.append(own)
+        models.append(copy.copy(model))
+        write_state(models[-1], jax.tree.map(lambda leaf, i=index: leaf[i], host))
     initial = np.concatenate([np.zeros((len(models), 1)), host.qpos, host.qvel], axis=1)
     commands = np.asarray(actions, dtype=float)[..., : layout.gripper_qpos.shape[1]]
     targets = gripper_targets(scene, initial[:, 1 + layout.gripper_qpos], commands, xp=np)

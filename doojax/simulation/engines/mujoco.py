@@ -127,18 +127,9 @@ class MujocoSimulator:
         )
 
     def _load(self, index: int, state: SimState) -> mujoco.MjModel:
-        """The model of batch element ``index``, with what varies by element written into it.
-
-        `mujoco.rollout` reads the poses of mocap bodies and the active equalities from the model.
-        """
-        model = self._models[index]
-        mocap = model.body_mocapid >= 0
-        for name, values in state.model_fields.items():
-            getattr(model, name)[:] = values
-        model.body_pos[mocap] = state.obstacle_position
-        model.body_quat[mocap] = state.obstacle_quaternion
-        model.eq_active0[model.neq - len(self.scene.grippers) :] = state.holding
-        return model
+        """The model of batch element ``index``, with what varies by element written into it."""
+        write_state(self._models[index], state)
+        return self._models[index]
 
     def _poses(self, model: mujoco.MjModel, qpos: Float[np.ndarray, "K nq"]) -> list[np.ndarray]:
         """Geometry sizes and the poses of bodies and sites, K times each."""
@@ -156,6 +147,19 @@ class MujocoSimulator:
             )
         xmat = xmat.reshape(*xpos.shape, 3)
         return read_observation(self.layout, *(jnp.asarray(v) for v in (sizes, xpos, xmat, sites)))
+
+
+def write_state(model: mujoco.MjModel, state: SimState) -> None:
+    """Write into ``model`` what varies by element, besides positions and velocities.
+
+    `mujoco.rollout` reads the poses of mocap bodies and the active equalities from the model.
+    """
+    mocap = model.body_mocapid >= 0
+    for name, values in state.model_fields.items():
+        getattr(model, name)[:] = values
+    model.body_pos[mocap] = state.obstacle_position
+    model.body_quat[mocap] = state.obstacle_quaternion
+    model.eq_active0[model.neq - len(state.holding) :] = state.holding
 
 
 @contextlib.contextmanager
