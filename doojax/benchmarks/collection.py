@@ -19,14 +19,16 @@ def collection(
     *,
     task: str = "rope_dragging",
     share: float = 1.0,
+    keep: Path | None = None,
     json: bool = False,
     out: Path = Path("results/simulation"),
 ) -> None:
-    """Collect the thesis's data of both phases, or a share of it, and measure the minutes; keep none of it.
+    """Collect the thesis's data of both phases, or a share of it, and measure the minutes.
 
     Args:
         task: rope_dragging or dual_gripper.
         share: of the trajectories that are collected; the minutes are then scaled up to all of them.
+        keep: the folder in which the data sets stay, as TASK_PHASE; by default they are deleted.
         json: print the rows as JSON instead of a table.
         out: the folder of summary.json.
 
@@ -42,9 +44,12 @@ def collection(
         wanted = TRAJECTORIES[task][phase]
         made = max(round(wanted * share), SHARD_SIZE)
         states = make_task(task).trajectory_states[phase]
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = (keep or Path(temporary)) / f"{task}_{phase}"
+            if folder.exists():
+                raise ValueError(f"{folder} is there already: collecting into it would not measure the whole")
             start = time.perf_counter()
-            collect(task, phase=phase, trajectories=made, seed=SEED, out=Path(folder) / "data")
+            collect(task, phase=phase, trajectories=made, seed=SEED, out=folder)
             minutes = (time.perf_counter() - start) / 60
         tags = {"task": task, "phase": phase, "trajectories": wanted, "states": states, "share": share}
         rows.append(row("collect_minutes", tags, minutes * wanted / made, "min", n=made))
