@@ -188,9 +188,7 @@ class Painting:
         """See `Drawing.axes`."""
         tips = position + length * rotation_matrices(np.asarray(quaternion)[None])[0].T
         segments = np.stack([np.broadcast_to(position, (3, 3)), tips], axis=1)
-        self.lines(
-            name, segments, width=2, colours=np.array([[214, 40, 40], [40, 150, 60], [40, 80, 200]], np.uint8)
-        )
+        self.lines(name, segments, width=2.0, colours=np.array(colours.AXES, np.uint8))
 
     def text(self, name: str, text: str, position: Float[np.ndarray, "3"]) -> None:
         """See `Drawing.text`."""
@@ -273,7 +271,7 @@ class Painting:
         return np.asarray(picture)
 
 
-def font(size: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """The letters of every picture; ``size`` in pixels."""
     return ImageFont.load_default(size)
 

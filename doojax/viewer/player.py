@@ -41,8 +41,8 @@ class Player:
         page.key("Play or pause", "space", self.toggle)
         page.key("Previous state", "J", lambda: self.step(-1))
         page.key("Next state", "L", lambda: self.step(1))
-        page.key("First state", "home", lambda: self.go_to(0))
-        page.key("Last state", "end", lambda: self.go_to(self._last))
+        page.key("First state", "home", lambda: self.go_to(0.0))
+        page.key("Last state", "end", lambda: self.go_to(float(self._last)))
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)
         self._thread.start()
 
@@ -68,7 +68,7 @@ class Player:
     def step(self, states: int) -> None:
         """Go to a neighbouring state and stay there."""
         self.pause()
-        self.go_to(int(self._moment) + states)
+        self.go_to(float(int(self._moment) + states))
 
     def toggle(self) -> None:
         """Play or pause; from the end, play again from the beginning."""

@@ -77,7 +77,7 @@ def show_trail(
         drawing.lines(
             f"{name}/ropes",
             np.concatenate([segments_of(curve) for curve in curves]),
-            width=2,
+            width=2.0,
             colours=np.repeat(tint, [len(curve) - 1 for curve in curves], axis=0),
         )
     ways = np.stack([grippers[:until], grippers[1 : until + 1]], axis=2).reshape(-1, 2, 3)
@@ -175,7 +175,7 @@ def show_plan(
         edges = np.stack([places[plan.parent[shown]], places[shown]], axis=1)
         drawing.cones("plan/tree", edges, radius=EDGE_RADIUS, colours=node_colours(plan, by)[shown])
     if len(plan.path):
-        drawing.lines("plan/path", segments_of(places[plan.path]), width=5, colours=colours.CHOSEN)
+        drawing.lines("plan/path", segments_of(places[plan.path]), width=5.0, colours=colours.CHOSEN)
         last = plan.path[-1]
         curve = extended(plan.points[last], look.rope_end)
         drawing.rope("plan/end", curve, radius=look.rope_radius, colour=colours.CHOSEN, opacity=GHOST)
@@ -192,7 +192,7 @@ def show_execution(drawing: Drawing, record: TrialRecord, moment: float) -> None
     way = record.points[: int(moment) + 1, record.goal_point]
     if len(way) > 1:
         tint = np.where(recovering(record)[: len(way) - 1, None], colours.RECOVERY, colours.EXECUTED)
-        drawing.lines("executed", segments_of(way), width=4, colours=tint.astype(np.uint8))
+        drawing.lines("executed", segments_of(way), width=4.0, colours=tint.astype(np.uint8))
     drawing.spheres("goal", record.goal[None], radius=record.goal_radius, colours=colours.GOAL, opacity=0.6)
 
 

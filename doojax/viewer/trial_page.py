@@ -80,7 +80,7 @@ class TrialPage:
     def _jump(self) -> None:
         at = self._event.options.index(self._event.value) - 1
         self.player.pause()
-        self.player.go_to(self._record.events[at].step if at >= 0 else 0)
+        self.player.go_to(float(self._record.events[at].step if at >= 0 else 0))
 
     def _show(self, moment: float) -> None:
         record = self._record
