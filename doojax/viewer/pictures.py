@@ -204,7 +204,7 @@ def caption_of(dataset: Dataset, index: int) -> str:
     return "  ".join(parts)
 
 
-def fitted(text: str, width: float, size: float) -> str:
+def fitted(text: str, width: float, size: int) -> str:
     """``text``, cut where it would not fit into ``width`` pixels."""
     while len(text) > 4 and font(size).getlength(text) > width:
         text = text[:-4] + "..."
