@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 MISSING = f"""none of {", ".join(NAMES)} is on the PATH. To get one:
@@ -16,6 +16,10 @@ QUIET = ("quic", "background-networking", "component-update", "sync", "dev-shm-u
 OPTIONS = [f"--disable-{what}" for what in QUIET] + ["--no-sandbox", "--no-first-run"]
 # Mesa's software renderer is twice as fast as Chromium's own, which stands in where Mesa is missing.
 OPTIONS += ["--use-gl=angle", "--use-angle=gl-egl", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+
+# viser's note that software draws the page would hide a part of it.
+WITHOUT_NOTES = """addEventListener("DOMContentLoaded", () => document.head.insertAdjacentHTML(
+  "beforeend", "<style>.mantine-Notifications-root { display: none }</style>"))"""
 
 
 @contextmanager
@@ -37,3 +41,16 @@ def open_browser() -> "Iterator[Browser]":
             yield browser
         finally:
             browser.close()
+
+
+def open_page(browser: "Browser", port: int, *, width: int = 1280, height: int = 800) -> "Page":
+    """A page of this machine's `doojax view`, once its controls are there; width and height in pixels.
+
+    Raises playwright's TimeoutError where that takes longer than a minute.
+    """
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.set_default_timeout(60_000)
+    page.add_init_script(WITHOUT_NOTES)
+    page.goto(f"http://127.0.0.1:{port}/?fixedDpr=1")  # however slow, drawn at full resolution
+    page.get_by_text("Read again").wait_for()
+    return page

@@ -3,6 +3,7 @@
 import numpy as np
 
 from doojax.datasets import Dataset
+from doojax.experiments.drawing import Colour
 from doojax.simulation.state import Fault
 from doojax.viewer import colours
 from doojax.viewer.columns import Columns, curves, shown_as
@@ -13,10 +14,10 @@ from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
 from doojax.viewer.selection import Selection
 from doojax.viewer.show import show_episode
-from doojax.viewer.text import plain
+from doojax.viewer.text import legend, plain
 
 ARRANGEMENTS = ("side by side", "overlaid")
-MOST = 9  # trajectories at once
+MOST = len(colours.OVERLAY)  # trajectories at once
 GAP = 0.2  # m between two that are side by side
 
 
@@ -44,6 +45,7 @@ class DatasetPage:
         self._selection = Selection(page, len(dataset), "trajectory", self._load)
         self.player = Player(page, self._show)
         self._facts = gui.add_markdown("")
+        self._legend = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Curves"):
             self._plots = {name: TimePlot(gui, shown_as(name)[0]) for name in curves(dataset)}
@@ -85,6 +87,13 @@ class DatasetPage:
         self._page.quiet()
         self._arrange()
         self._facts.content = description
+        meanings: dict[str, Colour | str] = {"rope": colours.ROPE, "earlier": "time"}
+        if len(self._shown) > 1:
+            rows = self._dataset.rows[chosen]
+            meanings = {f"{row}": colour for row, colour in zip(rows, colours.OVERLAY, strict=False)}
+        self._legend.content = legend(
+            {**meanings, "gripper, its way": colours.GRIPPER, "obstacle": colours.OBSTACLE}
+        )
         for name, plot in self._plots.items():
             plot.set({name: shown_as(name)[1] * values[name]})
         self.player.set_states(max(len(one.points) for one in self._shown))
@@ -125,7 +134,7 @@ class DatasetPage:
     def _show(self, moment: float) -> None:
         several = len(self._shown) > 1
         for place, (drawing, one) in enumerate(zip(self._drawings, self._shown, strict=False)):
-            colour = colours.OVERLAY[place % len(colours.OVERLAY)] if several else colours.ROPE
+            colour = colours.OVERLAY[place] if several else colours.ROPE
             show_episode(drawing, one, moment, colour=colour, trail=self._trail.value and not several)
         for plot in self._plots.values():
             plot.mark(moment)

@@ -70,7 +70,7 @@ class SceneDrawing:
             self.remove(name)
         elif self._stays(name, ("spheres", len(centres), radius, opacity)):
             self._handles[name].batched_positions = centres
-            self._handles[name].batched_colors = each
+            self._handles[name].batched_colors = linear(each)
         else:
             vertices, faces = shapes.sphere(radius)
             turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1))
@@ -80,7 +80,7 @@ class SceneDrawing:
                 faces,
                 turns,
                 centres,
-                batched_colors=each,
+                batched_colors=linear(each),
                 opacity=opacity if opacity < 1 else None,
                 lod="off",
                 cast_shadow=opacity == 1,
@@ -121,7 +121,7 @@ class SceneDrawing:
             return
         self._stays(name, ())
         handle = self._scene.add_line_segments(
-            self._path(name), segments, each, thickness=width, thickness_units="screen"
+            self._path(name), segments, linear(each), thickness=width, thickness_units="screen"
         )
         self._keep(name, handle)
 
@@ -145,7 +145,7 @@ class SceneDrawing:
             shapes.turns_from_z((segments[:, 1] - segments[:, 0]) / lengths[:, None]),
             segments[:, 0],
             batched_scales=np.stack([np.full_like(lengths, radius)] * 2 + [lengths], axis=1),
-            batched_colors=each,
+            batched_colors=linear(each),
             flat_shading=True,
             lod="off",
             cast_shadow=False,
@@ -231,6 +231,13 @@ class SceneDrawing:
 
     def _keep(self, name: str, handle: Any) -> None:
         self._handles[name] = handle
+
+
+def linear(colours: UInt8[np.ndarray, "*k 3"]) -> UInt8[np.ndarray, "*k 3"]:
+    """Colours as viser takes them where each of many things has its own: without the gamma of sRGB."""
+    part = colours / 255
+    curved = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    return (255 * curved).round().astype(np.uint8)
 
 
 def merged(meshes: list[shapes.Mesh]) -> shapes.Mesh:

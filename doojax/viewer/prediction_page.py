@@ -11,10 +11,10 @@ from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
 from doojax.viewer.selection import Selection
 from doojax.viewer.show import WORST_ERROR, show_grid, show_prediction
-from doojax.viewer.text import listed, plain
+from doojax.viewer.text import legend, listed, plain
 
-LEGEND = f"""orange: what happened; violet: predicted  
-beads: error, blue 0 to red {100 * WORST_ERROR:.0f} cm"""
+LEGEND = {"rope, as it was": colours.ROPE, "as predicted": colours.PREDICTION, "gripper": colours.GRIPPER}
+LEGEND |= {"obstacle": colours.OBSTACLE, f"error, 0 to {100 * WORST_ERROR:.0f} cm": "error"}
 INPUTS = ("hidden", "one layer", "what obstacles fill")
 
 
@@ -38,7 +38,7 @@ class PredictionPage:
         self._selection = Selection(page, len(record.start), "prediction", self._load)
         self.player = Player(page, self._show, "Steps ahead")
         self._facts = gui.add_markdown("")
-        gui.add_markdown(LEGEND)
+        gui.add_html(legend(LEGEND))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Curves"):
             self._error_plot = TimePlot(gui, "error, cm (RMS over the rope's points)")

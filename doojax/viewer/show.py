@@ -9,11 +9,11 @@ from doojax.viewer import colours
 from doojax.viewer.episodes import Episode
 from doojax.viewer.shapes import extended, smooth
 
-EDGE_RADIUS = 0.007  # m, of a tree's edges where they start
+EDGE_RADIUS = 0.006  # m, of a tree's edges where they start
 WORST_ERROR = 0.10  # m: the red end of the colours of errors
 FAR_DISTANCE = 0.15  # m: where the colours of signed distances fade out
 DOT = 0.35  # of a voxel
-GHOST = 0.55  # opacity
+GHOST = 0.75  # opacity
 
 
 def gripper_radius(look: Look) -> float:

@@ -9,11 +9,12 @@ from doojax.viewer.page import Page
 from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
 from doojax.viewer.show import plan_at, show_execution, show_plan, show_rope
-from doojax.viewer.text import listed, plain
+from doojax.viewer.text import legend, listed, plain
 
 FOLLOW = "the one being followed"
-LEGEND = """orange: executed; yellow: recoveries; blue: chosen path; green: goal  
-tree: dark to light; pink: rejected extensions"""
+LEGEND = {"rope, executed": colours.EXECUTED, "recoveries": colours.RECOVERY, "gripper": colours.GRIPPER}
+LEGEND |= {"goal": colours.GOAL, "chosen path": colours.CHOSEN, "obstacle": colours.OBSTACLE}
+LEGEND |= {"tree, from its root": "viridis", "rejected": colours.REJECTED}
 
 
 class TrialPage:
@@ -32,7 +33,7 @@ class TrialPage:
         ]
         self._event = gui.add_dropdown("Event", ("(before)", *texts), hint="Keys: N next, P previous")
         self._facts = gui.add_markdown("")
-        gui.add_markdown(LEGEND)
+        gui.add_html(legend(LEGEND))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Search"):
             plans = [f"plan {i + 1}, at state {plan.step}" for i, plan in enumerate(record.plans)]
