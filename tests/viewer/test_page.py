@@ -1,0 +1,229 @@
+"""The page in a browser: what one sees of a data set, a prediction and a trial, and what one does there."""
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.colors import rgb_to_hsv
+
+from doojax.datasets import Dataset
+from doojax.experiments.records import load_record, save_record
+from doojax.viewer.examples import trial_record
+from doojax.viewer.page import FIELD_OF_VIEW
+from doojax.viewer.raycast import Camera
+
+UP = np.array([0.0, 0.0, 1.0])
+HUES = {"orange": (8, 40), "violet": (250, 310), "green": (150, 185), "blue": (190, 225), "yellow": (44, 56)}
+
+
+def camera(app) -> Camera:
+    """Where the page's camera was put."""
+    eye, target = app._page._camera
+    looking = Camera.looking(eye, target, UP, 10, 10, None)
+    return Camera(looking.eye, looking.axes, 10, 10, None, float(np.tan(FIELD_OF_VIEW / 2)))
+
+
+def coloured(pixels: np.ndarray, name: str) -> np.ndarray:
+    """Which pixels have a colour, and that hue."""
+    hue, saturation, _ = np.moveaxis(rgb_to_hsv(pixels / 255), -1, 0)
+    low, high = HUES[name]
+    return (saturation > 0.35) & (hue * 360 > low) & (hue * 360 < high)
+
+
+def rope_at(look, app, place) -> bool:
+    """Is the rope seen at a place in the world?"""
+    return bool(coloured(look.colour_at(camera(app), place), "orange"))
+
+
+@pytest.fixture
+def towed(view, contents):
+    look, app = view(contents / "towed")
+    look.wait_for(re.compile("^trajectory 0"))
+    return look, app, Dataset.open(contents / "towed")
+
+
+def test_a_data_set_opens_with_its_rope_where_it_is(towed):
+    look, app, dataset = towed
+    rope = dataset["points"][0][0]
+    look.until(lambda: all(rope_at(look, app, point) for point in rope[2:8]))
+    assert coloured(look.pixels(), "orange").sum() > 300
+    assert not rope_at(look, app, rope[5] + np.array([0.0, 0.0, 0.3]))
+
+
+def test_the_slider_moves_the_rope(towed):
+    look, app, dataset = towed
+    ropes = dataset["points"][0]
+    look.slide("State", 0.7)
+    look.until(lambda: look.number("State") > 15)
+    state = look.number("State")
+    look.until(lambda: rope_at(look, app, ropes[state][5]))
+    assert app._content.player.moment == state
+    look.enter("State", 3)
+    look.until(lambda: rope_at(look, app, ropes[3][5]) and not rope_at(look, app, ropes[state][5]))
+
+
+def test_another_trajectory_and_several_side_by_side(towed):
+    look, app, dataset = towed
+    look.enter("Trajectory", 60)
+    look.wait_for(re.compile("^trajectory 60"))
+    look.until(lambda: rope_at(look, app, dataset["points"][60][0][5]))
+    look.press("k")
+    look.wait_for(re.compile("^trajectory 61"))
+    look.press("i", "i")
+    look.wait_for(re.compile("^trajectory 59"))
+    one = coloured(look.pixels(), "blue").sum()
+    look.tab("Compare")
+    look.enter("Shown at once", 4)
+    look.until(lambda: coloured(look.pixels(), "blue").sum() > one + 50)  # the colour of the second
+    assert len(app._content._shown) == 4
+
+
+def test_a_filter_lets_through_those_that_numpy_counts(towed):
+    look, app, dataset = towed
+    clearance = 1000 * dataset["clearance"][:].min(1)
+    look.tab("Filter and sort")
+    look.wait_for("150 of 150 trajectories")
+    look.choose("By", "least clearance, mm")
+    look.until(lambda: look.labelled("From").first.input_value() not in ("", "0"))
+    look.wait_for("150 of 150 trajectories")
+    look.enter("From", 100)
+    expected = int((clearance >= 100).sum())
+    assert 0 < expected < 150
+    look.wait_for(f"{expected} of 150 trajectories")
+    look.choose("Order", "descending")
+    look.wait_for(re.compile(f"^trajectory {np.argmax(clearance)}"))
+    look.enter("To", 101 - 1000)
+    look.wait_for("0 of 150 trajectories")
+    look.wait_for("no trajectory passes the filter")
+    look.until(lambda: coloured(look.pixels(), "orange").sum() == 0)
+    look.choose("By", "(none)")
+    look.wait_for(re.compile("^trajectory 0"))
+
+
+def test_the_keyboard_plays_pauses_and_steps(towed):
+    look, app, dataset = towed
+    ropes = dataset["points"][0]
+    look.press(" ")
+    look.until(lambda: look.number("State") >= 3)
+    look.press(" ")
+    look.page.get_by_role("button", name="Play").wait_for()
+    paused = look.number("State")
+    look.press("l", "l")
+    look.until(lambda: look.number("State") == paused + 2)
+    look.press("j")
+    look.until(lambda: look.number("State") == paused + 1)
+    look.press("End")
+    look.until(lambda: look.number("State") == len(ropes) - 1)
+    look.press("Home")
+    look.until(lambda: look.number("State") == 0)
+    look.until(lambda: rope_at(look, app, ropes[0][5]))  # where it was: no key has turned the camera
+
+
+def test_space_after_a_click_on_play_pauses(towed):
+    look, app, _ = towed
+    look.page.get_by_role("button", name="Play").click()
+    pause = look.page.get_by_role("button", name="Pause")
+    pause.wait_for()
+    look.page.keyboard.press(" ")  # the button has the focus
+    look.page.get_by_role("button", name="Play").wait_for()
+    look.press("k")
+    look.wait_for(re.compile("^trajectory 1"))  # all that the keys did has come by now
+    assert not app._content.player.playing
+
+
+def test_playing_goes_round_or_stops_at_the_end(towed):
+    look, app, dataset = towed
+    last = dataset["points"].shape[1] - 1
+    look.choose("States per second", "16")
+    look.enter("State", last - 2)
+    look.press(" ")
+    look.until(lambda: 0 < look.number("State") < last - 4)
+    look.labelled("Loop").first.click(force=True)
+    look.page.get_by_role("button", name="Play").wait_for()
+    look.until(lambda: look.number("State") == last)
+
+
+def test_two_look_at_the_same_and_a_reload_comes_back_to_it(towed, new_look):
+    look, app, dataset = towed
+    ropes = dataset["points"][0]
+    other = new_look()
+    other.until(lambda: rope_at(other, app, ropes[0][1]))
+    look.enter("State", 25)
+    other.until(lambda: other.number("State") == 25 and rope_at(other, app, ropes[25][1]))
+    other.press("l")
+    look.until(lambda: look.number("State") == 26 and rope_at(look, app, ropes[26][1]))
+    other.page.reload()
+    other.wait_for(re.compile("^trajectory 0"), 20)
+    other.until(lambda: other.number("State") == 26 and rope_at(other, app, ropes[26][1]))
+    other.press("j")
+    look.until(lambda: look.number("State") == 25)
+    other.page.close()
+    look.enter("State", 2)  # it goes on for the one who stays
+    look.until(lambda: rope_at(look, app, ropes[2][1]))
+
+
+def test_a_prediction_shows_ghost_error_score_and_what_the_model_saw(view, contents):
+    look, app = view(contents / "prediction.npz")
+    record = load_record(contents / "prediction.npz")
+    look.wait_for(re.compile("^prediction 0, from state 0"))
+    look.enter("Steps ahead", 9)
+    error = 100 * np.sqrt((record.errors()[0, 9] ** 2).mean())
+    look.wait_for(f"error {error:.1f} cm")
+    look.wait_for(f"accept probability {record.scores['accept probability'][0, 9]:.3g} (threshold 0.5)")
+    look.until(lambda: rope_at(look, app, record.points[9][3]))
+    look.until(lambda: coloured(look.pixels(), "violet").sum() > 30)
+    look.tab("Filter and sort")
+    look.choose("By", "greatest error, cm")
+    look.choose("Order", "descending")
+    worst = int(np.nanargmax(np.sqrt((record.errors() ** 2).mean(-1)).max(1)))
+    look.wait_for(re.compile(f"^prediction {worst}, from state {record.start[worst]}"))
+    look.tab("Model input")
+    layer = coloured(look.pixels(), "orange").sum()
+    look.choose("Input", "hidden")
+    look.until(lambda: coloured(look.pixels(), "orange").sum() < layer - 1000)
+
+
+def test_a_trial_shows_tree_path_goal_and_jumps_between_events(view, contents):
+    look, app = view(contents / "trial.npz")
+    record = load_record(contents / "trial.npz")
+    look.wait_for("reached the goal: goal reached")
+    look.until(lambda: coloured(look.pixels(), "green").sum() > 100)
+    look.until(lambda: coloured(look.pixels(), "blue").sum() > 60)  # the chosen path
+    for event in record.events[:4]:
+        look.press("n")
+        look.until(lambda event=event: look.number("State") == event.step)
+    recovered = record.events[3]
+    assert recovered.kind == "recover"
+    look.wait_for(f"last event: recover {recovered.text}")
+    look.press("n", "p", "p")
+    look.until(lambda: look.number("State") == record.events[2].step)
+    look.press("End")
+    look.wait_for(f"last event: end {record.end}")
+    look.until(lambda: coloured(look.pixels(), "yellow").sum() > 5)  # the way of the recovery
+    with_tree = look.pixels()
+    look.labelled("Tree").first.click(force=True)
+    look.until(lambda: (look.pixels() != with_tree).any(-1).sum() > 500)
+    look.labelled("Show a node's rope").first.click(force=True)
+    look.enter("Node", 7)
+    look.until(lambda: (look.pixels() != with_tree).any(-1).sum() > 500)
+
+
+def test_a_tree_of_twenty_thousand_nodes_is_one_object(view, tmp_path):
+    record = trial_record(seed=2, nodes=20_000)
+    save_record(tmp_path / "large.npz", record)
+    look, app = view(tmp_path / "large.npz")
+    look.wait_for("plan 1: 20,000 nodes", 20)
+    handle = app._page.drawing._handles["plan/tree"]
+    assert len(handle.batched_positions) == 20_000 - 1
+    assert sum(name.startswith("plan/tree") for name in app._page.drawing._handles) == 1
+    look.press("End")
+    look.wait_for("last event: end", 20)
+
+
+def test_one_goes_from_one_thing_to_another_in_a_folder(view, contents):
+    look, app = view(contents)
+    look.wait_for(re.compile("^prediction 0"))
+    look.choose("Show", "trial.npz · goal reached")
+    look.wait_for("reached the goal: goal reached")
+    look.choose("Show", "towed · data set")
+    look.wait_for(re.compile("^trajectory 0"))
