@@ -79,7 +79,7 @@ def test_another_trajectory_and_several_side_by_side(towed):
 
 
 def test_a_filter_lets_through_those_that_numpy_counts(towed):
-    look, app, dataset = towed
+    look, _, dataset = towed
     clearance = 1000 * dataset["clearance"][:].min(1)
     look.tab("Filter and sort")
     look.wait_for("150 of 150 trajectories")
@@ -132,7 +132,7 @@ def test_space_after_a_click_on_play_pauses(towed):
 
 
 def test_playing_goes_round_or_stops_at_the_end(towed):
-    look, app, dataset = towed
+    look, _, dataset = towed
     last = dataset["points"].shape[1] - 1
     look.choose("States per second", "16")
     look.enter("State", last - 2)
@@ -184,7 +184,7 @@ def test_a_prediction_shows_ghost_error_score_and_what_the_model_saw(view, conte
 
 
 def test_a_trial_shows_tree_path_goal_and_jumps_between_events(view, contents):
-    look, app = view(contents / "trial.npz")
+    look, _ = view(contents / "trial.npz")
     record = load_record(contents / "trial.npz")
     look.wait_for("reached the goal: goal reached")
     look.until(lambda: coloured(look.pixels(), "green").sum() > 100)
@@ -221,7 +221,7 @@ def test_a_tree_of_twenty_thousand_nodes_is_one_object(view, tmp_path):
 
 
 def test_one_goes_from_one_thing_to_another_in_a_folder(view, contents):
-    look, app = view(contents)
+    look, _ = view(contents)
     look.wait_for(re.compile("^prediction 0"))
     look.choose("Show", "trial.npz · goal reached")
     look.wait_for("reached the goal: goal reached")

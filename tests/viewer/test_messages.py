@@ -1,0 +1,139 @@
+"""What the page and the terminal say of what cannot be shown; and that the page lives on."""
+
+import re
+
+import numpy as np
+import pytest
+
+from doojax.datasets import Dataset
+from doojax.datasets.files import chunk_file
+from doojax.learning.runs import RunDirectory
+from doojax.viewer.examples import write_dataset
+
+STATES = 6
+
+
+def run_directory(path, epochs):
+    """A run of two networks that was cut short."""
+    run = RunDirectory.open(path, {"task": "rope_dragging", "learning_rate": 0.001})
+    run.log({"epoch": 1, "loss": [2.0, 3.0]})
+    for epoch in range(2, epochs + 1):
+        run.log({"epoch": epoch, "loss": [2.0 / epoch, 3.0 / epoch]})
+    if not epochs:
+        (path / "metrics.jsonl").write_text("")
+
+
+def nothing(path):
+    return "there is nothing at"
+
+
+def a_folder_of_something_else(path):
+    path.mkdir()
+    (path / "notes.txt").write_text("to do")
+    return "holds nothing that can be shown, but notes.txt"
+
+
+def another_file(path):
+    path.write_text("to do")
+    return "cannot be shown: expected a folder with manifest.json"
+
+
+def an_empty_set(path):
+    write_dataset(path, 150, states=STATES, shards=0)
+    return re.compile("is empty: none of its 3 shards is complete yet")
+
+
+def a_damaged_manifest(path):
+    write_dataset(path, 10, states=STATES)
+    (path / "manifest.json").write_text("{")
+    return "manifest.json"
+
+
+def a_link_to_elsewhere(path):
+    write_dataset(path, 10, states=STATES)
+    (path / "more").symlink_to("/etc")
+    return "leads out of"
+
+
+def a_record_that_is_none(path):
+    path.mkdir()
+    (path / "trial.npz").write_bytes(b"PK and nothing else")
+    return "trial.npz"
+
+
+def a_run_without_epochs(path):
+    run_directory(path, 0)
+    return "is empty: no epoch has been trained yet"
+
+
+def a_damaged_run(path):
+    run_directory(path, 3)
+    (path / "config.json").write_text("{")
+    return "config.json beside it cannot be read"
+
+
+BAD = [nothing, a_folder_of_something_else, another_file, an_empty_set, a_damaged_manifest]
+BAD += [a_link_to_elsewhere, a_record_that_is_none, a_run_without_epochs, a_damaged_run]
+
+
+@pytest.mark.parametrize("make", BAD)
+def test_what_cannot_be_shown_is_said_in_the_page_and_on_the_terminal(make, view, tmp_path, capfd):
+    said = make(tmp_path / "bad")
+    look, _ = view(tmp_path / "bad")
+    look.wait_for(said)
+    terminal = capfd.readouterr().err
+    assert "doojax view: " in terminal and re.search(said, terminal)
+    assert "Traceback" not in terminal
+
+
+def test_once_it_is_mended_it_is_shown(view, tmp_path):
+    look, _ = view(tmp_path / "towed")
+    look.wait_for("there is nothing at")
+    write_dataset(tmp_path / "towed", 10, states=STATES)
+    look.page.get_by_role("button", name="Read again").click()
+    look.wait_for(re.compile("^trajectory 0"))
+    assert look.page.get_by_text("there is nothing at").count() == 0
+
+
+def test_an_unfinished_set_shows_what_there_is(view, tmp_path):
+    write_dataset(tmp_path / "towed", 150, states=STATES, shards=1)
+    look, _ = view(tmp_path / "towed")
+    look.wait_for("unfinished: 64 of 150 trajectories so far")
+    look.wait_for(re.compile("^trajectory 0"))
+    look.press("k")
+    look.wait_for(re.compile("^trajectory 1"))
+    look.wait_for("unfinished: 64 of 150 trajectories so far")
+
+
+def test_a_damaged_shard_is_said_where_it_is_and_the_others_are_shown(view, tmp_path, capfd):
+    path = tmp_path / "towed"
+    write_dataset(path, 150, states=STATES)
+    dataset = Dataset.open(path)
+    file = path / chunk_file("points", 4, 1)
+    file.write_bytes(file.read_bytes()[:100])
+    assert dataset["points"][140].shape == (STATES, 10, 3)
+    look, app = view(path)
+    look.wait_for(re.compile("^trajectory 0"))
+    look.enter("Trajectory", 70)
+    look.wait_for("trajectory 70 cannot be read")
+    look.wait_for(re.compile("shard 1, field 'points'"))
+    assert "shard 1, field 'points'" in capfd.readouterr().err
+    assert app._content._shown == []
+    look.enter("Trajectory", 140)
+    look.wait_for(re.compile("^trajectory 140"))
+    look.until(lambda: look.page.get_by_text("shard 1, field").count() == 0)
+    np.testing.assert_array_equal(app._content._shown[0].points, dataset["points"][140])
+
+
+def test_a_training_run_shows_its_curves_and_that_it_goes_on(view, tmp_path):
+    run_directory(tmp_path / "run", 3)
+    look, _ = view(tmp_path / "run")
+    look.wait_for("training run, 3 epochs")
+    look.wait_for("unfinished: 3 epochs so far")
+    look.wait_for("network 1")
+    look.tab("About")
+    look.wait_for("learning_rate")
+    (tmp_path / "run" / "model.eqx").touch()
+    look.page.get_by_role("button", name="Read again").click()
+    look.until(lambda: look.page.get_by_text("unfinished").count() == 0)
+    look.wait_for("training run, 3 epochs")
