@@ -33,6 +33,11 @@ BENCHMARKS: Commands = {
 
 COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
+    "train": ("doojax.experiments.train:train", "train dynamics, a classifier, a recovery network"),
+    "evaluate-model": (
+        "doojax.experiments.evaluate_model:evaluate_model",
+        "measure a trained model on data that it has not seen",
+    ),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
     "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),
     "plan": ("doojax.experiments.plan:plan", "plan and execute in one scene"),

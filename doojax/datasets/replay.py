@@ -6,7 +6,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from rich.console import Console
 from rich.table import Table
 
@@ -74,24 +74,28 @@ def replay(path: Path, /, *, trajectory: int = 0, engine: str = "auto") -> None:
     _show(Console(), np.asarray(again.states.points[0]), points, np.asarray(again.faults[0]), faults, again)
 
 
+def stored_starts(dataset: Dataset, rows: Int[np.ndarray, "B"]) -> SimState:
+    """The states that some of a data set's trajectories were simulated from, [B]."""
+    count = len(rows)
+    return SimState(
+        qpos=jnp.asarray(dataset["initial_qpos"][rows]),
+        qvel=jnp.asarray(dataset["initial_qvel"][rows]),
+        obstacle_position=jnp.asarray(dataset["body_position"][rows]),
+        obstacle_quaternion=jnp.asarray(dataset["body_quaternion"][rows]),
+        holding=jnp.ones((count, dataset["grippers"][rows].shape[2]), dtype=bool),
+        faults=jnp.zeros(count, dtype=jnp.int32),
+        model_fields={},
+    )
+
+
 def _from_dataset(dataset: Dataset, number: int):
     if not 0 <= number < len(dataset):
         raise ValueError(f"there is no trajectory {number}: {dataset.path} holds 0 to {len(dataset) - 1}")
-    state = SimState(
-        qpos=jnp.asarray(dataset["initial_qpos"][number]),
-        qvel=jnp.asarray(dataset["initial_qvel"][number]),
-        obstacle_position=jnp.asarray(dataset["body_position"][number]),
-        obstacle_quaternion=jnp.asarray(dataset["body_quaternion"][number]),
-        holding=jnp.ones(dataset["grippers"][number].shape[1], dtype=bool),
-        faults=jnp.array(0, dtype=jnp.int32),
-        model_fields={},
-    )
-    config, actions = dataset.config, jnp.asarray(dataset["actions"][number])
     return (
-        config["task"],
-        config["engine"],
-        state,
-        actions,
+        dataset.config["task"],
+        dataset.config["engine"],
+        jax.tree.map(lambda leaf: leaf[0], stored_starts(dataset, np.array([number]))),
+        jnp.asarray(dataset["actions"][number]),
         dataset["points"][number],
         dataset["faults"][number],
     )

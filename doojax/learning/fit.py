@@ -7,7 +7,7 @@ from how far training has come, so that a checkpoint holds all that a resumed ru
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -17,6 +17,9 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from doojax.learning.runs import RunDirectory
+
+Report = Callable[[int, int, dict[str, np.ndarray]], None]
+"""Told the number of an epoch, from 1, how many there are, and what was measured, arrays [E]."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class FitConfig:
             raise ValueError(f"learning_rate is {self.learning_rate}, expected a positive number")
 
 
+@runtime_checkable
 class Problem(Protocol):
     """What is to be learned: data, network and loss. An equinox module, so that its arrays are arguments.
 
@@ -64,13 +68,13 @@ class Problem(Protocol):
 
 
 class FitState(eqx.Module):
-    """All that training needs to go on; every array has a leading axis E."""
+    """All that training needs to go on, of one member or of E with a leading axis."""
 
     weights: PyTree  # the inexact arrays of the model
     moments: PyTree  # Adam's
     best: PyTree  # the weights of the best epoch so far
-    best_loss: Float[Array, "E"]  # on the validation split
-    stale: Int[Array, "E"]  # epochs since the best
+    best_loss: Float[Array, "*E"]  # on the validation split
+    stale: Int[Array, "*E"]  # epochs since the best
 
 
 def fit(
@@ -80,7 +84,7 @@ def fit(
     seed: int,
     run: RunDirectory,
     members: PyTree = None,
-    report: Callable[[int, dict[str, np.ndarray]], None] = lambda number, metrics: None,
+    report: Report = lambda number, epochs, metrics: None,
 ) -> PyTree:
     """Train, and return the model with each member's best weights; its arrays have a leading axis E.
 
@@ -90,7 +94,7 @@ def fit(
         seed: of everything that is random.
         run: where checkpoints and metrics go, and from where an interrupted run goes on.
         members: settings that differ by member, arrays [E, ...].
-        report: called after each epoch with its number, from 1, and what was measured, arrays [E].
+        report: called after each epoch.
 
     Raises:
         ValueError: if a loss is not finite; the last checkpoint is from before.
@@ -108,7 +112,7 @@ def fit(
         run.log({"epoch": number, **{name: values.tolist() for name, values in metrics.items()}})
         if number % config.checkpoint_every == 0 or number == config.epochs or exhausted(state, config):
             run.save(number, state)
-        report(number, metrics)
+        report(number, config.epochs, metrics)
     return eqx.combine(state.best, static)
 
 

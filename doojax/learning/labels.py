@@ -135,7 +135,9 @@ def label(ensemble: Ensemble, data: Trajectories, config: LabelConfig) -> Exampl
 
     transitions, error, before = every(jnp.asarray(trajectory), jnp.asarray(times[window]))
     inside = np.flatnonzero((times[window] < length).ravel())
-    flat = Examples(
-        transitions, jnp.repeat(jnp.asarray(trajectory), horizon).reshape(-1, horizon), error, before
-    )
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[inside], flat)
+    numbers = jnp.repeat(jnp.asarray(trajectory), horizon).reshape(-1, horizon)
+
+    def flat(leaf: Array) -> Array:
+        return leaf.reshape(-1, *leaf.shape[2:])[inside]
+
+    return Examples(*jax.tree.map(flat, (transitions, numbers, error, before)))

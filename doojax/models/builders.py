@@ -6,8 +6,13 @@ from typing import Any
 import equinox as eqx
 import jax
 
+from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble
+from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
+from doojax.models.rasters import ViewConfig
+from doojax.models.recovery import RecoveryConfig, RecoveryNetwork
+from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
 
 
 def dynamics(config: Mapping[str, Any]) -> Ensemble:
@@ -17,4 +22,32 @@ def dynamics(config: Mapping[str, Any]) -> Ensemble:
     return Ensemble(eqx.filter_vmap(lambda key: UnconstrainedDynamics(network, key=key))(keys))
 
 
-BUILDERS: Mapping[str, Callable[[dict[str, Any]], Any]] = {"dynamics": dynamics}
+def classifier(config: Mapping[str, Any]) -> DistanceClassifier:
+    """A `DistanceClassifier`; config: the fields of `ClassifierConfig`."""
+    return DistanceClassifier(ClassifierConfig(**config), key=jax.random.key(0))
+
+
+def recovery(config: Mapping[str, Any]) -> RecoveryNetwork:
+    """A `RecoveryNetwork`; config: the fields of `RecoveryConfig`."""
+    return RecoveryNetwork(RecoveryConfig(**config), key=jax.random.key(0))
+
+
+def full_dynamics(config: Mapping[str, Any]) -> FullDynamics:
+    """A `FullDynamics`; config: the fields of `FullDynamicsConfig`, those of its view in a dict."""
+    network = FullDynamicsConfig(**{**config, "view": ViewConfig(**config["view"])})
+    return FullDynamics(network, key=jax.random.key(0))
+
+
+def voxel_classifier(config: Mapping[str, Any]) -> VoxelClassifier:
+    """A `VoxelClassifier`; config: the fields of `VoxelClassifierConfig`, those of its view in a dict."""
+    network = VoxelClassifierConfig(**{**config, "view": ViewConfig(**config["view"])})
+    return VoxelClassifier(network, key=jax.random.key(0))
+
+
+BUILDERS: Mapping[str, Callable[[dict[str, Any]], Any]] = {
+    "dynamics": dynamics,
+    "classifier": classifier,
+    "recovery": recovery,
+    "full_dynamics": full_dynamics,
+    "voxel_classifier": voxel_classifier,
+}

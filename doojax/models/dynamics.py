@@ -11,9 +11,7 @@ from jaxtyping import Array, Float
 from doojax.models.local import LocalFrame, Origin, Symmetry, flat, local_frame, unflat
 from doojax.types import Obstacles, RopeState
 
-SMALLEST_SCALE = (
-    0.03  # m: what varies less is not blown up, lest small errors of a prediction look large to the next
-)
+SMALLEST_SCALE = 0.03  # m: what varies less is not blown up, lest small errors look large a step later
 
 
 @dataclass(frozen=True)
@@ -26,6 +24,23 @@ class DynamicsConfig:
     width: int = 1024
     depth: int = 2  # hidden layers
     symmetry: Symmetry = "translation"
+    heading_fold: int = 0
+    """In a canonical frame, motion is the same after turns of the world by 2 pi / this many; 0: by any.
+
+    Friction along a few lines, as the planar rope's, is not the same in all directions."""
+
+    def __post_init__(self):
+        """Refuse a heading where there is none."""
+        if self.heading_fold < 0 or (self.heading_fold and self.symmetry != "canonical"):
+            raise ValueError(
+                f"heading_fold is {self.heading_fold} with symmetry {self.symmetry!r}: expected 0, or a "
+                "positive number with symmetry 'canonical'"
+            )
+
+    @property
+    def input_size(self) -> int:
+        """Numbers that the network sees."""
+        return self.state_size + 3 * self.grippers + (2 if self.heading_fold else 0)
 
     @property
     def state_size(self) -> int:
@@ -48,7 +63,7 @@ class UnconstrainedDynamics(eqx.Module):
     config: DynamicsConfig = eqx.field(static=True)
 
     def __init__(self, config: DynamicsConfig, *, key: Array):
-        inputs, outputs = config.state_size + 3 * config.grippers, config.state_size
+        inputs, outputs = config.input_size, config.state_size
         self.network = eqx.nn.MLP(inputs, outputs, config.width, config.depth, key=key)
         self.input_mean = jnp.zeros(inputs)
         self.input_scale = jnp.ones(inputs)
@@ -96,4 +111,5 @@ class UnconstrainedDynamics(eqx.Module):
     def _inputs(self, state: RopeState, action: Float[Array, "G 3"]) -> tuple[LocalFrame, Float[Array, "i"]]:
         frame = local_frame(state, action, self.config.origin, self.config.symmetry)
         local = flat(frame.points_in(state.points), frame.points_in(state.grippers))
-        return frame, jnp.concatenate([local, frame.vectors_in(action).reshape(-1)])
+        heading = frame.heading(self.config.heading_fold) if self.config.heading_fold else jnp.zeros(0)
+        return frame, jnp.concatenate([local, frame.vectors_in(action).reshape(-1), heading])

@@ -40,6 +40,11 @@ class LocalFrame(eqx.Module):
         """Positions, world to local."""
         return self.vectors_in(points - self.origin)
 
+    def heading(self, fold: int) -> Float[Array, "2"]:
+        """Which way the frame points in the world, equal after turns by 2 pi / ``fold``."""
+        angle = fold * jnp.arctan2(self.x_axis[1], self.x_axis[0])
+        return jnp.stack([jnp.cos(angle), self.side * jnp.sin(angle)])
+
 
 def local_frame(
     state: RopeState, action: Float[Array, "G 3"], origin: Origin, symmetry: Symmetry

@@ -1,0 +1,111 @@
+"""Train models: `doojax train`."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from doojax.experiments.curves import draw_curves
+from doojax.learning import train as learning
+from doojax.learning.fit import Report
+from doojax.learning.presets import PresetName
+from doojax.learning.runs import RunDirectory
+
+What = Literal["dynamics", "classifier", "voxel_classifier", "recovery", "full_dynamics"]
+CURVES = "curves.png"
+
+
+def train(
+    what: What,
+    /,
+    *,
+    data: tuple[Path, ...],
+    out: Path,
+    dynamics: Path | None = None,
+    classifier: Path | None = None,
+    preset: PresetName = "quick",
+    epochs: int | None = None,
+    threshold: float | None = None,
+    seed: int = 0,
+) -> None:
+    """Train a model into a run's folder: metrics, checkpoints, learning curves and at the end model.eqx.
+
+    A run that was killed goes on where it was when the same command is given again, to the same weights.
+
+    Args:
+        what: dynamics (an ensemble, from data of phase unconstrained), classifier (from distances, phase
+            constrained), voxel_classifier (the thesis's), recovery, or full_dynamics (data of both phases).
+        data: the data set's folder; two of them for full_dynamics.
+        out: the run's folder; new, empty, or the same run unfinished.
+        dynamics: the run or model.eqx whose predictions a classifier or a recovery network judges.
+        classifier: the run or model.eqx of the classifier that a recovery network begins with.
+        preset: quick (two CPU cores) or thesis (the thesis's sizes and choices).
+        epochs: in place of the preset's.
+        threshold: of the model error (m) below which a prediction counts as right; by default the 90 %
+            quantile that was found when the dynamics were trained.
+        seed: of everything that is random.
+
+    Raises:
+        ValueError: for data of another task or phase, too few of them or of one class, a model that is
+            missing or does not fit, a folder that holds something else, or a loss that is not finite.
+    """
+    needed = {"classifier": dynamics, "voxel_classifier": dynamics, "recovery": dynamics}
+    if what in needed and needed[what] is None:
+        raise ValueError(f"a {what} judges predictions: name the dynamics' run by --dynamics")
+    if what == "recovery" and classifier is None:
+        raise ValueError("a recovery network begins with a classifier: name its run by --classifier")
+    if threshold is not None and "classifier" not in what:
+        raise ValueError(f"threshold is {threshold}, but {what} has none: it is a classifier's")
+    if len(data) != (2 if what == "full_dynamics" else 1):
+        wanted = "two data sets, one of each phase" if what == "full_dynamics" else "one data set"
+        raise ValueError(f"{what} learns from {wanted}; {len(data)} were named")
+    console = Console(stderr=True)
+    if RunDirectory(out).finished:
+        console.print(f"{out} is finished already", highlight=False)
+        return
+    with _progress(console, what) as report:
+        common: dict[str, Any] = {"preset": preset, "epochs": epochs, "seed": seed, "report": report}
+        if what == "dynamics":
+            header = learning.train_dynamics(data[0], out, **common)
+        elif what == "classifier" and dynamics is not None:
+            header = learning.train_classifier(data[0], out, dynamics, threshold=threshold, **common)
+        elif what == "recovery" and dynamics is not None and classifier is not None:
+            header = learning.train_recovery(data[0], out, dynamics, classifier, **common)
+        else:
+            raise ValueError(f"{what} cannot be trained yet")
+    draw_curves(out, out / CURVES)
+    for name, value in header.about.items():
+        console.print(f"{name}: {value}", highlight=False)
+    console.print(f"{out / 'model.eqx'} and {out / CURVES} are written", highlight=False)
+
+
+@contextmanager
+def _progress(console: Console, what: str) -> Iterator[Report]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[figures]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task(what, total=None, figures="preparing")
+
+        def report(number: int, total: int, metrics: dict[str, np.ndarray]) -> None:
+            shown = "  ".join(f"{name} {values.mean():.4g}" for name, values in metrics.items())
+            progress.update(bar, completed=number, total=total, figures=shown)
+
+        yield report

@@ -1,0 +1,60 @@
+"""Fit what a classifier's output means, and choose thresholds that keep a promise, on validation data."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import minimize
+
+from doojax.models.calibration import Calibration
+
+
+def fit_calibration(logits: Float[np.ndarray, "n"], right: Bool[np.ndarray, "n"]) -> Calibration:
+    """The scale and the shift that make the probabilities most likely (Platt 1999), never turning them round.
+
+    Raises:
+        ValueError: one class is missing.
+    """
+    if right.all() or not right.any():
+        raise ValueError(
+            f"all {len(right)} validation examples are {'right' if right.all() else 'wrong'}: a classifier "
+            "cannot be calibrated on one class; collect more data, or choose another threshold"
+        )
+    signs = np.where(right, 1.0, -1.0)
+
+    def loss(parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        log_scale, shift = parameters
+        scale = np.exp(log_scale)
+        margin = signs * (scale * logits + shift)
+        slope = -signs / (1 + np.exp(np.clip(margin, -50, 50)))
+        gradient = np.array([(slope * logits).mean() * scale, slope.mean()])
+        return float(np.logaddexp(0, -margin).mean()), gradient
+
+    found = minimize(loss, np.zeros(2), jac=True, method="BFGS")
+    return Calibration(float(np.exp(found.x[0])), float(found.x[1]))
+
+
+def conformal_threshold(scores: Float[np.ndarray, "n"], right: Bool[np.ndarray, "n"], alpha: float) -> float:
+    """The least threshold above which at most the fraction ``alpha`` of transitions is wrong.
+
+    Of n exchangeable examples, it counts one more wrong than it sees: it is the least score t such that
+    (1 + number wrong with scores above t) / (number with scores above t) is at most alpha, the rule by which
+    conformal selection controls the false discovery rate (Jin and Candes 2023). Accept scores greater than
+    it. Transitions of one trajectory are not exchangeable with those of others one by one, so this holds on
+    average over trajectories, not given one.
+
+    Returns:
+        the threshold; infinite where no threshold keeps the promise: accept nothing.
+
+    Raises:
+        ValueError: alpha is not between 0 and 1.
+    """
+    if not 0 < alpha < 1:
+        raise ValueError(f"alpha is {alpha}, expected a rate between 0 and 1")
+    order = np.argsort(-scores, kind="stable")
+    ranked, wrong = scores[order], np.cumsum(~right[order])
+    keeps = (1 + wrong) / np.arange(1, len(scores) + 1) <= alpha
+    keeps &= np.append(ranked[1:] < ranked[:-1], True)  # a threshold accepts all of equal scores or none
+    if not keeps.any():
+        return float("inf")
+    last = int(np.flatnonzero(keeps)[-1])
+    below = ranked[last + 1] if last + 1 < len(ranked) else ranked[last] - 1.0
+    return float((ranked[last] + below) / 2)

@@ -1,0 +1,60 @@
+"""How each kind of model is built and trained: `quick` on two CPU cores, `thesis` as the thesis did."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from doojax.learning.fit import FitConfig
+from doojax.learning.labels import THESIS, LabelConfig
+from doojax.models.classifier import ClassifierConfig, DistanceClassifier
+from doojax.models.dynamics import DynamicsConfig
+from doojax.models.local import Origin
+from doojax.models.recovery import RecoveryConfig
+from doojax.simulation.rope import FRICTION_DIRECTIONS
+from doojax.tasks.base import Task
+
+PresetName = Literal["quick", "thesis"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A network's config, and how it is fitted."""
+
+    network: Any
+    fit: FitConfig
+
+
+def dynamics_preset(name: PresetName, task: Task) -> Preset:
+    """`quick`: smaller networks, canonical frames, inputs scaled to unit variance; `thesis`: none of it."""
+    size = {"points": task.scene.rope_model.links, "grippers": task.grippers, "origin": origin(task)}
+    if name == "thesis":
+        return Preset(
+            DynamicsConfig(**size), FitConfig(epochs=400, batch_size=16, members=8, schedule="constant")
+        )
+    planar = task.scene.rope_model.kind == "planar_chain"
+    fold = 2 * FRICTION_DIRECTIONS if planar else 0
+    return Preset(
+        DynamicsConfig(**size, width=256, symmetry="canonical", heading_fold=fold),
+        FitConfig(epochs=120, batch_size=32, members=4, learning_rate=2e-3),
+    )
+
+
+def classifier_preset(name: PresetName, task: Task) -> Preset:
+    """The classifier from distances; `thesis` is twice as wide and trained longer."""
+    config = ClassifierConfig(task.grippers, origin(task), width=128 if name == "thesis" else 64)
+    return Preset(config, FitConfig(epochs=40 if name == "thesis" else 15, batch_size=128))
+
+
+def recovery_preset(name: PresetName, classifier: DistanceClassifier) -> Preset:
+    """As the classifier whose encoder it begins with."""
+    config = RecoveryConfig(**vars(classifier.config))
+    return Preset(config, FitConfig(epochs=40 if name == "thesis" else 20, batch_size=64))
+
+
+def labels_preset(name: PresetName) -> LabelConfig:
+    """`quick`: from every fifth state for ten steps, as a planner does; `thesis`: once a trajectory."""
+    return THESIS if name == "thesis" else LabelConfig()
+
+
+def origin(task: Task) -> Origin:
+    """Of the local frame: the gripper, or with two of them the rope's mean point."""
+    return "gripper" if task.grippers == 1 else "centroid"

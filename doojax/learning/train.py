@@ -1,0 +1,188 @@
+"""From data sets to trained models: one function a kind, all resumable."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from doojax.datasets.files import MANIFEST, file_digest
+from doojax.datasets.store import Dataset
+from doojax.learning.calibration import conformal_threshold, fit_calibration
+from doojax.learning.checkpoints import MODEL, Header, load_model
+from doojax.learning.data import load_split, open_dataset
+from doojax.learning.fit import Report, fit
+from doojax.learning.labels import error_threshold, label
+from doojax.learning.losses import DynamicsProblem
+from doojax.learning.presets import (
+    Preset,
+    PresetName,
+    classifier_preset,
+    dynamics_preset,
+    labels_preset,
+    recovery_preset,
+)
+from doojax.learning.recovery import RecoveryProblem, label_recovery
+from doojax.learning.reliability import ClassifierProblem, judged, require_both_classes
+from doojax.learning.runs import RunDirectory
+from doojax.models.classifier import DistanceClassifier
+from doojax.models.ensemble import Ensemble
+from doojax.tasks import make_task
+
+ALPHAS = (0.05, 0.1)  # rates of wrong predictions among the accepted, for which thresholds are found
+FEWEST_RECOVERIES = 200  # examples
+
+
+def train_dynamics(
+    data: Path, out: Path, preset: PresetName, epochs: int | None, seed: int, report: Report
+) -> Header:
+    """An ensemble of unconstrained dynamics, and the model-error requirement's threshold."""
+    dataset = open_dataset(data)
+    task = make_task(dataset.config["task"])
+    if dataset.config.get("phase") != "unconstrained":
+        raise ValueError(
+            f"{data} holds data of phase {dataset.config.get('phase')!r}: unconstrained dynamics are learned "
+            "from phase unconstrained"
+        )
+    chosen = _with_epochs(dynamics_preset(preset, task), epochs)
+    run = _open_run(out, "dynamics", task.name, chosen, seed, {"data": data / MANIFEST})
+    train, validation = load_split(dataset, "train"), load_split(dataset, "validation")
+    problem = DynamicsProblem(train, validation, chosen.network, preset != "thesis")
+    members = fit(problem, chosen.fit, seed=seed, run=run, report=report)
+    ensemble = Ensemble(members)
+    config = {**asdict(chosen.network), "members": chosen.fit.members}
+    about = {"preset": preset, "seed": seed, "threshold_m": error_threshold(ensemble, validation)}
+    header = Header("dynamics", task.name, config, about)
+    run.finish(header, ensemble)
+    return header
+
+
+def train_classifier(
+    data: Path,
+    out: Path,
+    dynamics: Path,
+    preset: PresetName,
+    epochs: int | None,
+    seed: int,
+    report: Report,
+    *,
+    threshold: float | None = None,
+) -> Header:
+    """A calibrated classifier from distances, and its conformal thresholds."""
+    dataset, ensemble, task, threshold = _judged_data(data, dynamics, threshold)
+    chosen = _with_epochs(classifier_preset(preset, task), epochs)
+    labels = labels_preset(preset)
+    files = {"data": data / MANIFEST, "dynamics": model_file(dynamics)}
+    settings = {"threshold_m": threshold, "labels": asdict(labels)}
+    run = _open_run(out, "classifier", task.name, chosen, seed, files, **settings)
+    parts = [load_split(dataset, split) for split in ("train", "validation")]
+    train, validation = (label(ensemble, part, labels) for part in parts)
+    require_both_classes(train, threshold, "train")
+    require_both_classes(validation, threshold, "validation")
+    problem = ClassifierProblem(
+        train, parts[0].obstacles, validation, parts[1].obstacles, DistanceClassifier, chosen.network
+    )
+    models = fit(problem, chosen.fit, seed=seed, run=run, members=jnp.array([threshold]), report=report)
+    model = jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, models)
+    kept, right = (np.asarray(x) for x in (validation.kept(threshold), validation.right(threshold)))
+    logits = np.asarray(eqx.filter_jit(judged)(model, validation, parts[1].obstacles))
+    calibration = fit_calibration(logits[kept], right[kept])
+    model = eqx.tree_at(lambda m: m.calibration, model, calibration)
+    probabilities = np.asarray(calibration(jnp.asarray(logits)))[kept]
+    safe = {str(alpha): conformal_threshold(probabilities, right[kept], alpha) for alpha in ALPHAS}
+    about = {
+        "preset": preset,
+        "seed": seed,
+        "threshold_m": threshold,
+        "labels": asdict(labels),
+        "conformal_thresholds": {a: value for a, value in safe.items() if np.isfinite(value)},
+    }
+    header = Header("classifier", task.name, asdict(chosen.network), about)
+    run.finish(header, model)
+    return header
+
+
+def train_recovery(
+    data: Path,
+    out: Path,
+    dynamics: Path,
+    classifier: Path,
+    preset: PresetName,
+    epochs: int | None,
+    seed: int,
+    report: Report,
+) -> Header:
+    """A recovery network that begins with a classifier's encoder."""
+    dataset, ensemble, task, _ = _judged_data(data, dynamics, None)
+    judge, _ = load_model(classifier, task=task.name, kind="classifier")
+    chosen = _with_epochs(recovery_preset(preset, judge), epochs)
+    files = {
+        "data": data / MANIFEST,
+        "dynamics": model_file(dynamics),
+        "classifier": model_file(classifier),
+    }
+    run = _open_run(out, "recovery", task.name, chosen, seed, files)
+    keys = jax.random.split(jax.random.key(seed), 2)
+    train, validation = (
+        label_recovery(task, ensemble, judge, load_split(dataset, split), key=key)
+        for split, key in zip(("train", "validation"), keys, strict=True)
+    )
+    if len(train) < FEWEST_RECOVERIES or len(validation) == 0:
+        raise ValueError(
+            f"{data} has {len(train)} training and {len(validation)} validation states where nothing is "
+            f"accepted, expected at least {FEWEST_RECOVERIES} and 1: collect more data in scenes where the "
+            "rope gets caught, or train a stricter classifier"
+        )
+    problem = RecoveryProblem(train, validation, judge, chosen.network)
+    models = fit(problem, chosen.fit, seed=seed, run=run, report=report)
+    model = jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, models)
+    about = {"preset": preset, "seed": seed, "stuck_states": len(train)}
+    header = Header("recovery", task.name, asdict(chosen.network), about)
+    run.finish(header, model)
+    return header
+
+
+def model_file(path: Path) -> Path:
+    """A model's file, given it or the run that made it."""
+    return path / MODEL if path.is_dir() else path
+
+
+def _judged_data(data: Path, dynamics: Path, threshold: float | None) -> tuple[Dataset, Ensemble, Any, float]:
+    """Phase-two data with the dynamics whose predictions are compared with it, and the threshold."""
+    dataset = open_dataset(data)
+    name = dataset.config["task"]
+    if dataset.config.get("phase") != "constrained":
+        raise ValueError(
+            f"{data} holds data of phase {dataset.config.get('phase')!r}: where predictions hold is learned "
+            "from phase constrained"
+        )
+    ensemble, header = load_model(dynamics, task=name, kind="dynamics")
+    if threshold is None:
+        threshold = float(header.about["threshold_m"])
+    if not threshold > 0:
+        raise ValueError(f"the threshold of the error is {threshold}, expected a positive length (m)")
+    return dataset, ensemble, make_task(name), threshold
+
+
+def _with_epochs(preset: Preset, epochs: int | None) -> Preset:
+    if epochs is None:
+        return preset
+    return Preset(preset.network, replace(preset.fit, epochs=epochs))
+
+
+def _open_run(
+    out: Path, what: str, task: str, preset: Preset, seed: int, files: dict[str, Path], **settings: Any
+) -> RunDirectory:
+    config = {
+        "what": what,
+        "task": task,
+        "seed": seed,
+        "network": asdict(preset.network),
+        "fit": asdict(preset.fit),
+        **{name: file_digest(path)[:16] for name, path in files.items()},
+        **settings,
+    }
+    return RunDirectory.open(out, config)

@@ -1,0 +1,24 @@
+"""From a network's output to a probability that means what it says."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+from jaxtyping import Array, Float
+
+
+class Calibration(eqx.Module):
+    """A logit's calibrated probability: scaled and shifted before the logistic function (Platt 1999).
+
+    At first it changes nothing. `doojax.learning.calibration` fits it; no gradient reaches it.
+    """
+
+    scale: Float[Array, ""]  # one over the temperature
+    shift: Float[Array, ""]  # makes up for classes that were balanced in training
+
+    def __init__(self, scale: float = 1.0, shift: float = 0.0):
+        self.scale, self.shift = jnp.asarray(scale, dtype=float), jnp.asarray(shift, dtype=float)
+
+    def __call__(self, logit: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """The probability."""
+        return jax.nn.sigmoid(stop_gradient(self.scale) * logit + stop_gradient(self.shift))

@@ -1,0 +1,165 @@
+"""Where the dynamics can be trusted, judged from distances: no voxels.
+
+The classifier looks at the rope as a chain of points that moves from a state to the predicted next one. At a
+few moments of that motion it takes the signed distance to the obstacles, and its gradient, at every point of
+the chain; a small convolutional network along the chain turns that into one number. Nothing is rasterised, so
+a thin obstacle is as visible as a thick one, and a transition costs about a thousandth of a voxel grid's.
+"""
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from doojax.geometry.sdf import signed_distance
+from doojax.models.calibration import Calibration
+from doojax.models.local import Origin, local_frame
+from doojax.types import Obstacles, RopeState
+
+NEAR, FAR = 0.02, 0.1  # m: the two scales on which distances are seen
+
+
+@dataclass(frozen=True)
+class ClassifierConfig:
+    """What a `DistanceClassifier` is built from."""
+
+    grippers: int
+    origin: Origin
+    width: int = 64
+    layers: int = 2  # convolutions along the chain
+    moments: int = 3  # of the motion, first and last included
+    midpoints: bool = True  # between neighbours of the chain, too
+
+    @property
+    def features(self) -> int:
+        """Numbers per point of the chain."""
+        return 7 + 5 * self.moments
+
+    @property
+    def globals(self) -> int:
+        """Numbers that concern the transition as a whole."""
+        return 3 * self.grippers + 1
+
+
+class ChainConvolution(eqx.Module):
+    """A residual convolution over three neighbours, written as a matrix product, which CPUs are good at."""
+
+    linear: eqx.nn.Linear
+
+    def __init__(self, width: int, *, key: Array):
+        self.linear = eqx.nn.Linear(3 * width, width, key=key)
+
+    def __call__(self, x: Float[Array, "L w"]) -> Float[Array, "L w"]:
+        """The ends see zeros beyond them."""
+        padded = jnp.pad(x, ((1, 1), (0, 0)))
+        return x + jax.nn.relu(jax.vmap(self.linear)(jnp.concatenate([padded[:-2], x, padded[2:]], axis=1)))
+
+
+class DistanceClassifier(eqx.Module):
+    """Probability that a predicted transition's error is below the threshold that it was trained for."""
+
+    embed: eqx.nn.Linear
+    convolutions: list[ChainConvolution]
+    head: eqx.nn.MLP
+    calibration: Calibration
+    threshold: Float[Array, ""]
+    config: ClassifierConfig = eqx.field(static=True)
+
+    def __init__(self, config: ClassifierConfig, *, key: Array):
+        embed_key, head_key, *keys = jax.random.split(key, 2 + config.layers)
+        width = config.width
+        self.embed = eqx.nn.Linear(config.features, width, key=embed_key)
+        self.convolutions = [ChainConvolution(width, key=key) for key in keys]
+        self.head = eqx.nn.MLP(2 * width + config.globals, 1, width, 1, key=head_key)
+        self.calibration = Calibration()
+        self.threshold = jnp.array(0.5)
+        self.config = config
+
+    def __call__(
+        self,
+        obstacles: Obstacles,
+        state: RopeState,
+        action: Float[Array, "G 3"],
+        next_state: RopeState,
+        uncertainty: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """See `doojax.models.protocols.Reliability`; a calibrated probability."""
+        return self.calibration(self.logit(obstacles, state, action, next_state, uncertainty))
+
+    def logit(
+        self,
+        obstacles: Obstacles,
+        state: RopeState,
+        action: Float[Array, "G 3"],
+        next_state: RopeState,
+        uncertainty: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """The network's own output, before calibration."""
+        chain, whole = self.inputs(obstacles, state, action, next_state, uncertainty)
+        return self.head(jnp.concatenate([self.encode(chain), whole]))[0]
+
+    def encode(self, chain: Float[Array, "L f"]) -> Float[Array, "2w"]:
+        """The chain's features, summed up."""
+        x = jax.nn.relu(jax.vmap(self.embed)(chain))
+        for convolution in self.convolutions:
+            x = convolution(x)
+        return jnp.concatenate([x.mean(0), x.max(0)])
+
+    def inputs(
+        self,
+        obstacles: Obstacles,
+        state: RopeState,
+        action: Float[Array, "G 3"],
+        next_state: RopeState,
+        uncertainty: Float[Array, ""],
+    ) -> tuple[Float[Array, "L f"], Float[Array, "g"]]:
+        """What the network sees: per point of the chain, and of the transition as a whole."""
+        frame = local_frame(state, action, self.config.origin, "canonical")
+        begin, end = (chain_of(one, self.config.midpoints) for one in (state, next_state))
+        moments = jnp.linspace(0.0, 1.0, self.config.moments)[:, None, None]
+        distance, gradient = distance_and_gradient(obstacles, begin + moments * (end - begin))
+        weight = jnp.exp(-jnp.maximum(distance, 0.0) / FAR)[..., None]  # far away, directions mean nothing
+        seen = jnp.concatenate(
+            [
+                jnp.tanh(distance / NEAR)[..., None],
+                jnp.tanh(distance / FAR)[..., None],
+                weight * frame.vectors_in(gradient),
+            ],
+            axis=-1,
+        )
+        place = jnp.linspace(-1.0, 1.0, begin.shape[0])[:, None]
+        chain = jnp.concatenate(
+            [
+                place,
+                frame.points_in(begin) / 0.2,
+                frame.vectors_in(end - begin) / 0.05,
+                jnp.moveaxis(seen, 0, 1).reshape(begin.shape[0], -1),
+            ],
+            axis=-1,
+        )
+        whole = jnp.append(frame.vectors_in(action).reshape(-1) / 0.1, jnp.log(uncertainty + 1e-4) + 3)
+        return chain, whole
+
+
+def chain_of(state: RopeState, midpoints: bool) -> Float[Array, "L 3"]:
+    """Rope and grippers as one polyline: one gripper behind the last point, or one before and one behind.
+
+    With midpoints, L = 2 (N + G) - 1; without, N + G.
+    """
+    first, last = state.grippers[:-1], state.grippers[-1:]
+    chain = jnp.concatenate([first, state.points, last])
+    if not midpoints:
+        return chain
+    between = (chain[1:] + chain[:-1]) / 2
+    woven = jnp.stack([chain[:-1], between], axis=1).reshape(-1, 3)
+    return jnp.concatenate([woven, last])
+
+
+def distance_and_gradient(
+    obstacles: Obstacles, points: Float[Array, "*p 3"]
+) -> tuple[Float[Array, "*p"], Float[Array, "*p 3"]]:
+    """Signed distance (m) and its gradient, a unit vector away from the nearest obstacle; 0 without any."""
+    distance, pull_back = jax.vjp(lambda points: signed_distance(obstacles, points), points)
+    return distance, pull_back(jnp.ones_like(distance))[0]

@@ -1,0 +1,153 @@
+"""Training on a problem whose answer is known: lines through points."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from doojax.learning.fit import FitConfig, balanced, fit, shuffled
+from doojax.learning.runs import METRICS, RunDirectory
+
+
+class Line(eqx.Module):
+    slope: jax.Array
+    offset: jax.Array
+
+
+class LineProblem(eqx.Module):
+    """y = 2 x - 1, scaled by each member's own factor."""
+
+    x: jax.Array
+    scale: jax.Array
+
+    def init(self, member, *, key):
+        return Line(jax.random.normal(key), jnp.zeros(()))
+
+    def batches(self, member, batch_size, *, key):
+        return shuffled(len(self.x), batch_size, key=key)
+
+    def loss(self, model, rows, member):
+        x = self.x[rows]
+        y = self.scale * member * (2 * x - 1)
+        return ((model.slope * x + model.offset - y) ** 2).mean()
+
+    def validate(self, model, member):
+        return {"loss": self.loss(model, jnp.arange(len(self.x)), member)}
+
+
+CONFIG = FitConfig(epochs=40, batch_size=8, members=2, learning_rate=0.2)
+SCALES = jnp.array([1.0, -3.0])
+
+
+def problem(scale=1.0):
+    return LineProblem(jnp.linspace(-1.0, 1.0, 64), jnp.asarray(scale))
+
+
+def train(path, config=CONFIG, report=lambda number, epochs, metrics: None, scale=1.0):
+    run = RunDirectory.open(path, {"what": "lines"})
+    return run, fit(problem(scale), config, seed=3, run=run, members=SCALES, report=report)
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    return train(tmp_path_factory.mktemp("fit") / "run")
+
+
+def test_every_member_finds_its_own_line(whole):
+    _, lines = whole
+    np.testing.assert_allclose(lines.slope, 2 * SCALES, atol=1e-3)
+    np.testing.assert_allclose(lines.offset, -SCALES, atol=1e-3)
+
+
+def test_every_epoch_is_logged_with_a_figure_a_member(whole):
+    run, _ = whole
+    assert [epoch["epoch"] for epoch in run.metrics] == list(range(1, 41))
+    losses = np.array([epoch["validation_loss"] for epoch in run.metrics])
+    assert losses.shape == (40, 2)
+    assert (losses[-1] < 1e-4 * losses[0]).all()
+
+
+@pytest.mark.parametrize("torn", [b"", b'{"epoch": 14, "train_lo'])
+def test_a_run_that_was_killed_ends_with_the_same_bits(whole, tmp_path, torn):
+    def kill(number, epochs, metrics):
+        if number == 13:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path / "run", report=kill)
+    with (tmp_path / "run" / METRICS).open("ab") as file:
+        file.write(torn)  # killed while writing a line
+    run, lines = train(tmp_path / "run")
+    assert jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), lines, whole[1]))
+    assert run.metrics == whole[0].metrics
+
+
+def test_checkpoints_that_are_rarer_repeat_epochs_to_the_same_bits(whole, tmp_path):
+    config = FitConfig(**{**vars(CONFIG), "checkpoint_every": 5})
+
+    def kill(number, epochs, metrics):
+        if number == 13:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path / "run", config, kill)
+    seen = []
+    _, lines = train(tmp_path / "run", config, lambda number, epochs, metrics: seen.append(number))
+    assert seen[0] == 11
+    assert (lines.slope == whole[1].slope).all()
+
+
+def test_the_best_epochs_weights_are_kept(tmp_path):
+    # a learning rate that overshoots: the last epoch is not the best one
+    config = FitConfig(epochs=12, batch_size=8, members=2, learning_rate=0.8, schedule="constant")
+    run, lines = train(tmp_path / "run", config)
+    best = np.array([epoch["validation_loss"] for epoch in run.metrics]).min(0)
+    loss = [
+        float(problem().validate(jax.tree.map(lambda leaf, i=i: leaf[i], lines), SCALES[i])["loss"])
+        for i in range(2)
+    ]
+    np.testing.assert_allclose(loss, best, rtol=1e-5)
+    assert (best < np.array(run.metrics[-1]["validation_loss"])).any()
+
+
+def test_training_stops_when_no_member_got_better_for_so_long(tmp_path):
+    config = FitConfig(
+        epochs=500, batch_size=8, members=2, learning_rate=0.8, schedule="constant", patience=4
+    )
+    run, _ = train(tmp_path / "run", config)
+    losses = np.array([epoch["validation_loss"] for epoch in run.metrics])
+    assert len(losses) < 500
+    assert len(losses) == losses.argmin(0).max() + 1 + 4
+
+
+def test_a_loss_that_is_not_finite_names_member_and_epoch(tmp_path):
+    with pytest.raises(ValueError, match=r"train_loss of member 0, 1 is not finite in epoch 1; lower the"):
+        train(tmp_path / "run", scale=jnp.nan)
+    assert RunDirectory.open(tmp_path / "run", {"what": "lines"}).metrics == []
+
+
+def test_another_run_is_not_gone_on_with(whole):
+    with pytest.raises(ValueError, match=r"what: 'lines' -> 'circles'"):
+        RunDirectory.open(whole[0].path, {"what": "circles"})
+
+
+def test_too_few_examples_for_a_batch():
+    with pytest.raises(ValueError, match="5 examples do not fill a batch of 8"):
+        shuffled(5, 8, key=jax.random.key(0))
+
+
+def test_a_rare_class_fills_half_of_every_batch():
+    positive = jnp.arange(1000) < 7
+    negative = (jnp.arange(1000) >= 7) & (jnp.arange(1000) < 900)
+    rows = np.asarray(balanced(positive, negative, 1000, 64, key=jax.random.key(1)))
+    assert rows.shape == (15, 64)
+    assert ((rows < 7).sum(1) == 32).all()
+    assert rows.max() < 900  # those of neither class are never drawn
+    assert set(rows[rows < 7]) == set(range(7))
+
+
+@pytest.mark.parametrize("name", ["epochs", "batch_size", "members", "checkpoint_every"])
+def test_settings_that_train_nothing(name):
+    with pytest.raises(ValueError, match=f"{name} is 0, expected at least 1"):
+        FitConfig(**{"epochs": 1, "batch_size": 1, name: 0})
