@@ -102,7 +102,7 @@ class Painting:
         each = np.broadcast_to(np.asarray(colours), (len(centres), 3))
         self._bodies[name] = [
             [Solid(ShapeKind.CAPSULE, np.asarray(centre, np.float32), turn, size, tuple(colour), opacity)]
-            for centre, colour in zip(centres, each, strict=True)
+            for centre, colour in zip(centres, each.tolist(), strict=True)
             if np.isfinite(centre).all()
         ]
 

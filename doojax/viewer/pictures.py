@@ -6,7 +6,7 @@ from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
 from doojax.datasets import Dataset
@@ -140,7 +140,7 @@ def camera_above(corners: Float[np.ndarray, "K 3"], width: int, height: int) -> 
     """A parallel view from above that has all of some points in its picture, as large as it can."""
     low, high = corners.min(0), corners.max(0)
     middle, extent = (low + high) / 2, high - low
-    span = MARGIN * max(extent[1], extent[0] * height / width)
+    span = MARGIN * float(max(extent[1], extent[0] * height / width))
     return Camera.looking(middle + 5 * UP, middle, np.array([0.0, 1.0, 0.0]), width, height, span)
 
 
@@ -176,7 +176,7 @@ def draw_tracks(painting: Painting, shown: Episode, until: int) -> None:
     painting.lines("tracks", segments, width=1.0, colours=colours.GRIPPER)
 
 
-def framed(pixels: Pixels, caption: str, time: float, end: float) -> Pixels:
+def framed(pixels: Pixels, caption: str, time: float, end: float) -> UInt8[np.ndarray, "h2 w 3"]:
     """A frame with its title, the time, and a bar that says how much of it has passed."""
     height, width = pixels.shape[:2]
     frame = Image.new("RGB", (width, height + HEADER), (255, 255, 255))
@@ -204,17 +204,17 @@ def caption_of(dataset: Dataset, index: int) -> str:
     return "  ".join(parts)
 
 
-def fitted(text: str, width: float, size: int) -> str:
+def fitted(text: str, width: int, size: int) -> str:
     """``text``, cut where it would not fit into ``width`` pixels."""
     while len(text) > 4 and font(size).getlength(text) > width:
         text = text[:-4] + "..."
     return text
 
 
-def _time_bar(pen: ImageDraw.ImageDraw, left: float, middle: float, seconds: float, width: float) -> None:
+def _time_bar(pen: ImageDraw.ImageDraw, left: int, middle: float, seconds: float, width: int) -> None:
     pen.text((left, middle), "start", colours.PALE_INK, font(14), "lm")
-    bar = min(160.0, width / 3)
-    for place in range(int(bar)):
+    bar = min(160, width // 3)
+    for place in range(bar):
         red, green, blue = colours.scale("time", np.array(place / bar))
         at = left + 42 + place
         pen.line((at, middle - 6, at, middle + 6), fill=(int(red), int(green), int(blue)))

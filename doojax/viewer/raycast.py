@@ -215,7 +215,7 @@ class Buffers:
 def shadow_camera(light: Vector, low: Vector, high: Vector, pixels: int = 768) -> Camera:
     """A parallel view from the light on everything between two corners of the world."""
     middle, reach = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    up = np.array([0, 1, 0]) if abs(light[2]) > 0.9 else np.array([0, 0, 1])
+    up = np.array([0.0, 1.0, 0.0]) if abs(light[2]) > 0.9 else np.array([0.0, 0.0, 1.0])
     eye = middle + light * reach * 2
     return Camera.looking(eye, middle, up, pixels, pixels, span=2 * reach)
 

@@ -76,7 +76,7 @@ def film_at(path: Path, index: int | None) -> Film:
 def write(film: Film, out: Path) -> None:
     """Write a film as what the ending of the file asks for."""
     if out.suffix == ".png":
-        (pixels,) = frames(film, [film.states - 1])
+        (pixels,) = frames(film, [float(film.states - 1)])
         Image.fromarray(pixels).save(out, optimize=True)
     elif out.suffix in (".gif", ".mp4"):
         animate(film, out)
