@@ -19,7 +19,7 @@ OPTIONS += ["--use-gl=angle", "--use-angle=gl-egl", "--enable-unsafe-swiftshader
 
 # viser's note that software draws the page would hide a part of it.
 WITHOUT_NOTES = """addEventListener("DOMContentLoaded", () => document.head.insertAdjacentHTML(
-  "beforeend", "<style>.mantine-Notifications-root { display: none }</style>"))"""
+  "beforeend", "<style>.mantine-Notifications-root { display: none }</style>"));"""
 
 
 @contextmanager
@@ -43,14 +43,23 @@ def open_browser() -> "Iterator[Browser]":
             browser.close()
 
 
-def open_page(browser: "Browser", port: int, *, width: int = 1280, height: int = 800) -> "Page":
-    """A page of this machine's `doojax view`, once its controls are there; width and height in pixels.
+def open_page(
+    browser: "Browser", port: int, *, width: int = 1280, height: int = 800, script: str = ""
+) -> "Page":
+    """A page of this machine's `doojax view`, once its controls are there.
+
+    Args:
+        browser: where to.
+        port: of the server.
+        width: of the page, pixels.
+        height: of the page, pixels.
+        script: run in the page before anything of its own.
 
     Raises playwright's TimeoutError where that takes longer than a minute.
     """
     page = browser.new_page(viewport={"width": width, "height": height})
     page.set_default_timeout(60_000)
-    page.add_init_script(WITHOUT_NOTES)
+    page.add_init_script(WITHOUT_NOTES + script)
     page.goto(f"http://127.0.0.1:{port}/?fixedDpr=1")  # however slow, drawn at full resolution
     page.get_by_text("Read again").wait_for()
     return page

@@ -60,7 +60,9 @@ class Player:
         self.slider.value = int(self._moment)
 
     def go_to(self, moment: float) -> None:
-        """Show a moment."""
+        """Show a moment, unless the controls are gone and this comes too late."""
+        if self._stopped.is_set():
+            return
         self._moment = min(max(moment, 0.0), float(self._last))
         self.slider.value = int(self._moment)
         self._show(self._moment)
