@@ -20,7 +20,6 @@ from doojax.experiments.curves import draw_curves
 from doojax.learning import train as learning
 from doojax.learning.fit import Report
 from doojax.learning.presets import PresetName
-from doojax.learning.runs import RunDirectory
 
 What = Literal["dynamics", "classifier", "voxel_classifier", "recovery", "full_dynamics"]
 CURVES = "curves.png"
@@ -71,9 +70,6 @@ def train(
         wanted = "two data sets, one of each phase" if what == "full_dynamics" else "one data set"
         raise ValueError(f"{what} learns from {wanted}; {len(data)} were named")
     console = Console(stderr=True)
-    if RunDirectory(out).finished:
-        console.print(f"{out} is finished already", highlight=False)
-        return
     with _progress(console, what) as report:
         common: dict[str, Any] = {"preset": preset, "epochs": epochs, "seed": seed, "report": report}
         if what == "dynamics":

@@ -100,7 +100,7 @@ class DistanceClassifier(eqx.Module):
         chain, whole = self.inputs(obstacles, state, action, next_state, uncertainty)
         return self.head(jnp.concatenate([self.encode(chain), whole]))[0]
 
-    def encode(self, chain: Float[Array, "L f"]) -> Float[Array, "2w"]:
+    def encode(self, chain: Float[Array, "L f"]) -> Float[Array, "e"]:
         """The chain's features, summed up."""
         x = jax.nn.relu(jax.vmap(self.embed)(chain))
         for convolution in self.convolutions:
