@@ -106,6 +106,7 @@ def random_trajectories(
     parts = []
     for period in range(periods):
         action = sample(step_keys(action_keys, period), rope, action)
+        action = jnp.where(jnp.isfinite(action), action, 0.0)  # of a rope that blew up: its fault says so
         state, part = simulator.rollout(state, action[:, None])
         rope = jax.tree.map(lambda leaf: leaf[:, -1], part.states)
         parts.append(part)

@@ -92,7 +92,7 @@ def _add_chain(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, he
         if index == middle:
             x = (middle + 0.5) * pitch - rope.length / 2
             body = spec.worldbody.add_body(name=link_name(index), pos=[x, 0, height])
-            _add_root_joints(body, planar)
+            _add_root_joints(spec, body, rope, pitch, planar)
         else:
             step = 1 if index > middle else -1
             body = bodies[index - step].add_body(name=link_name(index), pos=[step * pitch, 0, 0])
@@ -109,11 +109,18 @@ def _add_chain(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, he
             spec.add_exclude(bodyname1=link_name(i), bodyname2=link_name(i + 2))
 
 
-def _add_root_joints(body: "mujoco.MjsBody", planar: bool) -> None:
+def _add_root_joints(
+    spec: "mujoco.MjSpec", body: "mujoco.MjsBody", rope: RopeParameters, pitch: float, planar: bool
+) -> None:
+    """A free joint, with the inertia of the joints beside it: without, the one link that has none of its own
+    spins up about its axis where friction turns it, until the rope bursts. Its mass grows by a thousandth."""
     import mujoco
 
     if not planar:
-        body.add_freejoint(name="rope_root")
+        root = body.add_freejoint(name="rope_root")
+        root.armature = _stabilising_inertia(
+            rope.twisting_stiffness / pitch, rope.bending_damping / pitch, spec.option.timestep
+        )
         return
     for axis, direction in {"x": [1, 0, 0], "y": [0, 1, 0]}.items():
         body.add_joint(name=f"rope_root_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)

@@ -1,0 +1,137 @@
+"""From data of the toy task to models that judge it: the whole chain, small."""
+
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from doojax.datasets.collect import collect
+from doojax.experiments.evaluate_model import evaluate_model
+from doojax.experiments.reports import read_summary
+from doojax.experiments.train import train
+from doojax.learning.checkpoints import load_model
+from doojax.learning.train import train_dynamics
+
+STATES = 6
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("toy")
+    for phase, count in (("unconstrained", 512), ("constrained", 1536)):
+        collect("toy", phase=phase, trajectories=count, states=STATES, out=folder / phase)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def runs(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    train("dynamics", data=(data / "unconstrained",), out=folder / "dynamics", epochs=12)
+    train(
+        "classifier",
+        data=(data / "constrained",),
+        dynamics=folder / "dynamics",
+        out=folder / "classifier",
+        threshold=0.01,
+        epochs=4,
+    )
+    return folder
+
+
+def measured(folder):
+    return {row.metric: row.value for row in read_summary(folder / "summary.json").rows}
+
+
+def test_a_run_holds_config_environment_metrics_curves_and_model(runs):
+    names = {path.name for path in (runs / "dynamics").iterdir()}
+    assert {"config.json", "environment.json", "metrics.jsonl", "curves.png", "model.eqx"} <= names
+    assert len((runs / "dynamics" / "metrics.jsonl").read_text().splitlines()) == 12
+    config = json.loads((runs / "classifier" / "config.json").read_text())
+    assert config["threshold_m"] == 0.01
+    assert config["labels"]["horizon"] == 10
+
+
+def test_the_dynamics_predict_the_toy_to_millimetres(runs, data, tmp_path):
+    evaluate_model(str(runs / "dynamics"), data=data / "unconstrained", out=tmp_path)
+    found = measured(tmp_path)
+    assert found["dynamics_error_m"] < 0.008  # it moves 5 cm a step
+    assert (tmp_path / "toy_dynamics_unconstrained.png").exists()
+
+
+def test_the_classifier_knows_where_the_wall_is_and_nothing_else_does(runs, data, tmp_path):
+    options = {"data": data / "constrained", "dynamics": runs / "dynamics"}
+    evaluate_model(str(runs / "classifier"), **options, out=tmp_path / "classifier")
+    evaluate_model("always", **options, out=tmp_path / "always")
+    found, blind = measured(tmp_path / "classifier"), measured(tmp_path / "always")
+    assert found["classifier_auroc"] > 0.9
+    assert blind["classifier_auroc"] == 0.5
+    assert blind["classifier_recall"] == 1
+    assert blind["classifier_precision"] == pytest.approx(blind["right_fraction"])
+
+
+def test_a_killed_training_ends_with_the_same_model(runs, data, tmp_path):
+    def kill(number, epochs, metrics):
+        if number == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_dynamics(data / "unconstrained", tmp_path / "run", "quick", 12, 0, kill)
+    assert not (tmp_path / "run" / "model.eqx").exists()
+    train("dynamics", data=(data / "unconstrained",), out=tmp_path / "run", epochs=12)
+    again, whole = (load_model(path)[0] for path in (tmp_path / "run", runs / "dynamics"))
+    assert jax.tree.all(jax.tree.map(lambda a, b: bool(np.array_equal(a, b)), again, whole))
+
+
+def test_data_of_the_wrong_phase(runs, data, tmp_path):
+    with pytest.raises(ValueError, match=r"phase 'constrained': unconstrained dynamics are learned from"):
+        train("dynamics", data=(data / "constrained",), out=tmp_path / "run")
+    with pytest.raises(ValueError, match=r"phase 'unconstrained': where predictions hold is learned from"):
+        train(
+            "classifier",
+            data=(data / "unconstrained",),
+            dynamics=runs / "dynamics",
+            out=tmp_path / "run",
+        )
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_threshold_for_which_all_is_right(runs, data, tmp_path):
+    with pytest.raises(ValueError, match=r"the train split has 0 wrong predictions at a threshold of 5 m"):
+        train(
+            "classifier",
+            data=(data / "constrained",),
+            dynamics=runs / "dynamics",
+            out=tmp_path / "run",
+            threshold=5.0,
+        )
+
+
+@pytest.mark.parametrize(
+    ("what", "options", "message"),
+    [
+        ("classifier", {}, "name the dynamics' run by --dynamics"),
+        ("recovery", {"dynamics": Path("x")}, "name its run by --classifier"),
+        ("dynamics", {"threshold": 0.1}, "threshold is 0.1, but dynamics has none"),
+        ("full_dynamics", {}, "learns from two data sets, one of each phase; 1 were named"),
+    ],
+)
+def test_what_is_missing_is_named_before_anything_is_read(what, options, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        train(what, data=(tmp_path / "none",), out=tmp_path / "run", **options)
+
+
+def test_a_model_of_another_kind(runs, data, tmp_path):
+    with pytest.raises(ValueError, match=r"a model of kind 'classifier', expected one of kind 'dynamics'"):
+        train(
+            "classifier",
+            data=(data / "constrained",),
+            dynamics=runs / "classifier",
+            out=tmp_path / "run",
+        )
+
+
+def test_other_settings_in_a_finished_runs_folder(runs, data):
+    with pytest.raises(ValueError, match=r"seed: 0 -> 1"):
+        train("dynamics", data=(data / "unconstrained",), out=runs / "dynamics", epochs=12, seed=1)
