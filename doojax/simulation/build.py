@@ -68,7 +68,7 @@ def build_spec(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjSpe
             size=[5, 5, 0.1],
             contype=FLOOR_CONTACT,
             conaffinity=0,
-            friction=[0, 0, 0],
+            friction=[1e-5, 0, 0],  # the rope's own counts; some engines refuse none at all
         )
     for obstacle in scene.obstacles:
         _add_obstacle(spec, scene, obstacle)
