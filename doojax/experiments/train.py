@@ -59,11 +59,6 @@ def train(
         ValueError: for data of another task or phase, too few of them or of one class, a model that is
             missing or does not fit, a folder that holds something else, or a loss that is not finite.
     """
-    needed = {"classifier": dynamics, "voxel_classifier": dynamics, "recovery": dynamics}
-    if what in needed and needed[what] is None:
-        raise ValueError(f"a {what} judges predictions: name the dynamics' run by --dynamics")
-    if what == "recovery" and classifier is None:
-        raise ValueError("a recovery network begins with a classifier: name its run by --classifier")
     if threshold is not None and "classifier" not in what:
         raise ValueError(f"threshold is {threshold}, but {what} has none: it is a classifier's")
     if len(data) != (2 if what == "full_dynamics" else 1):
@@ -74,16 +69,25 @@ def train(
         common: dict[str, Any] = {"preset": preset, "epochs": epochs, "seed": seed, "report": report}
         if what == "dynamics":
             header = learning.train_dynamics(data[0], out, **common)
-        elif what == "classifier" and dynamics is not None:
-            header = learning.train_classifier(data[0], out, dynamics, threshold=threshold, **common)
-        elif what == "recovery" and dynamics is not None and classifier is not None:
-            header = learning.train_recovery(data[0], out, dynamics, classifier, **common)
+        elif what == "full_dynamics":
+            header = learning.train_full_dynamics(data, out, **common)
+        elif what == "recovery":
+            judged = _named(dynamics, "a recovery judges predictions: name the dynamics' run by --dynamics")
+            begun = _named(classifier, "a recovery begins with a classifier: name its run by --classifier")
+            header = learning.train_recovery(data[0], out, judged, begun, **common)
         else:
-            raise ValueError(f"{what} cannot be trained yet")
+            judged = _named(dynamics, f"a {what} judges predictions: name the dynamics' run by --dynamics")
+            header = learning.train_classifier(what, data[0], out, judged, threshold=threshold, **common)
     draw_curves(out, out / CURVES)
     for name, value in header.about.items():
         console.print(f"{name}: {value}", highlight=False)
     console.print(f"{out / 'model.eqx'} and {out / CURVES} are written", highlight=False)
+
+
+def _named(path: Path | None, otherwise: str) -> Path:
+    if path is None:
+        raise ValueError(otherwise)
+    return path
 
 
 @contextmanager

@@ -7,8 +7,11 @@ from doojax.learning.fit import FitConfig
 from doojax.learning.labels import THESIS, LabelConfig
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.models.dynamics import DynamicsConfig
+from doojax.models.full_dynamics import FullDynamicsConfig
 from doojax.models.local import Origin
+from doojax.models.rasters import view
 from doojax.models.recovery import RecoveryConfig
+from doojax.models.voxel_classifier import VoxelClassifierConfig
 from doojax.simulation.rope import FRICTION_DIRECTIONS
 from doojax.tasks.base import Task
 
@@ -42,6 +45,18 @@ def classifier_preset(name: PresetName, task: Task) -> Preset:
     """The classifier from distances; `thesis` is twice as wide and trained longer."""
     config = ClassifierConfig(task.grippers, origin(task), width=128 if name == "thesis" else 64)
     return Preset(config, FitConfig(epochs=40 if name == "thesis" else 15, batch_size=128))
+
+
+def voxel_classifier_preset(name: PresetName, task: Task) -> Preset:
+    """The thesis's classifier from voxels; `quick` has coarser voxels and fewer channels."""
+    config = VoxelClassifierConfig(task.scene.rope_model.links, view(name, task.grippers))
+    return Preset(config, FitConfig(epochs=10 if name == "thesis" else 3, batch_size=16))
+
+
+def full_dynamics_preset(name: PresetName, task: Task) -> Preset:
+    """The baseline that predicts motion among obstacles; `quick` has coarser voxels and fewer channels."""
+    config = FullDynamicsConfig(task.scene.rope_model.links, view(name, task.grippers))
+    return Preset(config, FitConfig(epochs=50 if name == "thesis" else 3, batch_size=8))
 
 
 def recovery_preset(name: PresetName, classifier: DistanceClassifier) -> Preset:

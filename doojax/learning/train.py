@@ -1,8 +1,9 @@
 """From data sets to trained models: one function a kind, all resumable."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -15,6 +16,7 @@ from doojax.learning.calibration import conformal_threshold, fit_calibration
 from doojax.learning.checkpoints import MODEL, Header, load_model
 from doojax.learning.data import load_split, open_dataset
 from doojax.learning.fit import Report, fit
+from doojax.learning.full_dynamics import FullDynamicsProblem, windows
 from doojax.learning.labels import error_threshold, label
 from doojax.learning.losses import DynamicsProblem
 from doojax.learning.presets import (
@@ -22,18 +24,27 @@ from doojax.learning.presets import (
     PresetName,
     classifier_preset,
     dynamics_preset,
+    full_dynamics_preset,
     labels_preset,
     recovery_preset,
+    voxel_classifier_preset,
 )
 from doojax.learning.recovery import RecoveryProblem, label_recovery
 from doojax.learning.reliability import ClassifierProblem, judged, require_both_classes
 from doojax.learning.runs import RunDirectory
 from doojax.models.classifier import DistanceClassifier
 from doojax.models.ensemble import Ensemble
+from doojax.models.voxel_classifier import VoxelClassifier
 from doojax.tasks import make_task
+from doojax.tasks.base import Task
 
 ALPHAS = (0.05, 0.1)  # rates of wrong predictions among the accepted, for which thresholds are found
 FEWEST_RECOVERIES = 200  # examples
+ClassifierKind = Literal["classifier", "voxel_classifier"]
+CLASSIFIERS: dict[str, tuple[Any, Callable[[PresetName, Task], Preset]]] = {
+    "classifier": (DistanceClassifier, classifier_preset),
+    "voxel_classifier": (VoxelClassifier, voxel_classifier_preset),
+}
 
 
 def train_dynamics(
@@ -60,7 +71,30 @@ def train_dynamics(
     return header
 
 
+def train_full_dynamics(
+    data: Sequence[Path], out: Path, preset: PresetName, epochs: int | None, seed: int, report: Report
+) -> Header:
+    """Dynamics that look at the obstacles, from data of both phases: as much as the other method sees."""
+    datasets = [open_dataset(path) for path in data]
+    task = make_task(datasets[0].config["task"])
+    for path, dataset in zip(data, datasets, strict=True):
+        if dataset.config["task"] != task.name:
+            raise ValueError(f"{path} holds data of the task {dataset.config['task']!r}, not {task.name!r}")
+    chosen = _with_epochs(full_dynamics_preset(preset, task), epochs)
+    files = {f"data{i}": path / MANIFEST for i, path in enumerate(data)}
+    run = _open_run(out, "full_dynamics", task.name, chosen, seed, files)
+    parts = {split: [load_split(one, split) for one in datasets] for split in ("train", "validation")}
+    steps = min(part.actions.shape[1] for part in parts["train"])
+    train, validation = (windows(part, steps) for part in parts.values())
+    problem = FullDynamicsProblem(train, validation, chosen.network)
+    model = _only_member(fit(problem, chosen.fit, seed=seed, run=run, report=report))
+    header = Header("full_dynamics", task.name, asdict(chosen.network), {"preset": preset, "seed": seed})
+    run.finish(header, model)
+    return header
+
+
 def train_classifier(
+    kind: ClassifierKind,
     data: Path,
     out: Path,
     dynamics: Path,
@@ -71,22 +105,23 @@ def train_classifier(
     *,
     threshold: float | None = None,
 ) -> Header:
-    """A calibrated classifier from distances, and its conformal thresholds."""
+    """A calibrated classifier, from distances or from voxels, and its conformal thresholds."""
     dataset, ensemble, task, threshold = _judged_data(data, dynamics, threshold)
-    chosen = _with_epochs(classifier_preset(preset, task), epochs)
+    network, preset_of = CLASSIFIERS[kind]
+    chosen = _with_epochs(preset_of(preset, task), epochs)
     labels = labels_preset(preset)
     files = {"data": data / MANIFEST, "dynamics": model_file(dynamics)}
     settings = {"threshold_m": threshold, "labels": asdict(labels)}
-    run = _open_run(out, "classifier", task.name, chosen, seed, files, **settings)
+    run = _open_run(out, kind, task.name, chosen, seed, files, **settings)
     parts = [load_split(dataset, split) for split in ("train", "validation")]
     train, validation = (label(ensemble, part, labels) for part in parts)
     require_both_classes(train, threshold, "train")
     require_both_classes(validation, threshold, "validation")
     problem = ClassifierProblem(
-        train, parts[0].obstacles, validation, parts[1].obstacles, DistanceClassifier, chosen.network
+        train, parts[0].obstacles, validation, parts[1].obstacles, network, chosen.network
     )
     models = fit(problem, chosen.fit, seed=seed, run=run, members=jnp.array([threshold]), report=report)
-    model = jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, models)
+    model = _only_member(models)
     kept, right = (np.asarray(x) for x in (validation.kept(threshold), validation.right(threshold)))
     logits = np.asarray(eqx.filter_jit(judged)(model, validation, parts[1].obstacles))
     calibration = fit_calibration(logits[kept], right[kept])
@@ -100,7 +135,7 @@ def train_classifier(
         "labels": asdict(labels),
         "conformal_thresholds": {a: value for a, value in safe.items() if np.isfinite(value)},
     }
-    header = Header("classifier", task.name, asdict(chosen.network), about)
+    header = Header(kind, task.name, asdict(chosen.network), about)
     run.finish(header, model)
     return header
 
@@ -138,7 +173,7 @@ def train_recovery(
         )
     problem = RecoveryProblem(train, validation, judge, chosen.network)
     models = fit(problem, chosen.fit, seed=seed, run=run, report=report)
-    model = jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, models)
+    model = _only_member(models)
     about = {"preset": preset, "seed": seed, "stuck_states": len(train)}
     header = Header("recovery", task.name, asdict(chosen.network), about)
     run.finish(header, model)
@@ -165,6 +200,10 @@ def _judged_data(data: Path, dynamics: Path, threshold: float | None) -> tuple[D
     if not threshold > 0:
         raise ValueError(f"the threshold of the error is {threshold}, expected a positive length (m)")
     return dataset, ensemble, make_task(name), threshold
+
+
+def _only_member(models: Any) -> Any:
+    return jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, models)
 
 
 def _with_epochs(preset: Preset, epochs: int | None) -> Preset:
