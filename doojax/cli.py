@@ -25,6 +25,7 @@ BENCHMARKS: Commands = {
     "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
     "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
     "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
+    "viewer": ("doojax.viewer.bench:viewer", "how soon the page opens and how fast it follows"),
     "signature": (
         "doojax.benchmarks.signature:signature",
         "grasp loop signatures against the h-signature package",
