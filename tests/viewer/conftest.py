@@ -23,7 +23,7 @@ PATIENCE = 40  # s: what is waited for comes within one on an idle machine
 TRAJECTORIES = 150
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def contents(tmp_path_factory) -> Path:
     """A folder with a data set of three shards, a prediction and a trial."""
     folder = tmp_path_factory.mktemp("contents")
@@ -33,13 +33,13 @@ def contents(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     with open_browser() as found:
         yield found
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def server():
     server = start_server("127.0.0.1", 0)
     yield server
@@ -119,7 +119,7 @@ class Look:
         return pixels[round(float(row)), round(float(column))]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def new_look(browser, server) -> Iterator[Callable[[], Look]]:
     """Opens another page on the server."""
     pages = []
@@ -134,7 +134,7 @@ def new_look(browser, server) -> Iterator[Callable[[], Look]]:
         page.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def opened(server) -> Iterator[list[App]]:
     """What the server shows, in a list of at most one."""
     shown: list[App] = []
@@ -143,7 +143,7 @@ def opened(server) -> Iterator[list[App]]:
         app.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def first_look(new_look, opened, server, contents) -> Look:
     """The page that most tests look at: opened once, and shown one thing after another."""
     opened.append(App(server, contents / "towed"))
