@@ -22,12 +22,13 @@ from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.data import Trajectories, load_split, open_dataset
 from doojax.learning.labels import Examples, LabelConfig, label
 from doojax.learning.metrics import auroc, counts, expected_calibration_error
-from doojax.learning.reliability import require_both_classes, scores_of
+from doojax.learning.reliability import judged, require_both_classes
+from doojax.learning.train import ALPHAS
 from doojax.models import Always, CollisionChecker
 from doojax.types import Obstacles, RopeState
 
 UNLEARNED = {"always": Always, "collision_checker": CollisionChecker}
-ALPHAS, RESPLITS = (0.05, 0.1), 20
+RESPLITS = 20
 
 
 def evaluate_model(
@@ -73,8 +74,8 @@ def evaluate_model(
         predicts, judges = (load_model(path, task=task)[0] for path in (dynamics, classifier))
         rows = recovery_rows(dataset, test, predicts, judges, loaded, tags, seed)
     else:
-        ensemble, judged = load_model(dynamics, task=task, kind="dynamics")
-        threshold = header.about.get("threshold_m", judged.about["threshold_m"])
+        ensemble, about = load_model(dynamics, task=task, kind="dynamics")
+        threshold = header.about.get("threshold_m", about.about["threshold_m"])
         labels = LabelConfig(**header.about.get("labels", {}))
         examples = label(ensemble, test, labels)
         require_both_classes(examples, threshold, "test")
@@ -141,7 +142,7 @@ def classifier_rows(
     scores, right, trajectory = [], [], []
     for examples, obstacles in parts:
         kept = np.asarray(examples.kept(threshold))
-        scores.append(np.asarray(scores_of(judge, examples, obstacles))[kept].astype(np.float64))
+        scores.append(np.asarray(judged(judge, examples, obstacles))[kept].astype(np.float64))
         right.append(np.asarray(examples.right(threshold))[kept])
         trajectory.append(np.asarray(examples.trajectory)[kept])
     limit = float(judge.threshold)

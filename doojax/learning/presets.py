@@ -10,7 +10,6 @@ from doojax.models.dynamics import DynamicsConfig
 from doojax.models.full_dynamics import FullDynamicsConfig
 from doojax.models.local import Origin
 from doojax.models.rasters import view
-from doojax.models.recovery import RecoveryConfig
 from doojax.models.voxel_classifier import VoxelClassifierConfig
 from doojax.simulation.rope import FRICTION_DIRECTIONS
 from doojax.tasks.base import Task
@@ -61,8 +60,7 @@ def full_dynamics_preset(name: PresetName, task: Task) -> Preset:
 
 def recovery_preset(name: PresetName, classifier: DistanceClassifier) -> Preset:
     """As the classifier whose encoder it begins with."""
-    config = RecoveryConfig(**vars(classifier.config))
-    return Preset(config, FitConfig(epochs=40 if name == "thesis" else 20, batch_size=64))
+    return Preset(classifier.config, FitConfig(epochs=40 if name == "thesis" else 20, batch_size=64))
 
 
 def labels_preset(name: PresetName) -> LabelConfig:

@@ -9,9 +9,9 @@ from jaxtyping import Array, Float, Int, PyTree
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import shuffled
 from doojax.learning.reliability import cross_entropy
-from doojax.models.classifier import DistanceClassifier
+from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.models.protocols import Dynamics, Reliability, accepts
-from doojax.models.recovery import RecoveryConfig, RecoveryNetwork
+from doojax.models.recovery import RecoveryNetwork
 from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
 
@@ -109,7 +109,7 @@ class RecoveryProblem(eqx.Module):
     train: RecoveryExamples
     validation: RecoveryExamples
     encoder: DistanceClassifier  # whose weights the network begins with
-    config: RecoveryConfig = eqx.field(static=True)
+    config: ClassifierConfig = eqx.field(static=True)
 
     def init(self, member: PyTree, *, key: Array) -> RecoveryNetwork:
         """The classifier's weights, but for a fresh head."""

@@ -1,5 +1,6 @@
 """Learning to tell which predictions are right: balanced batches of labelled transitions (thesis 2.3.4)."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +11,6 @@ from jaxtyping import Array, Float, Int
 
 from doojax.learning.fit import balanced
 from doojax.learning.labels import Examples
-from doojax.models.protocols import Reliability
 from doojax.types import Obstacles
 
 AT_ONCE = 512  # examples judged side by side
@@ -38,12 +38,12 @@ class ClassifierProblem(eqx.Module):
 
     def loss(self, model: Any, rows: Int[Array, "batch"], member: Float[Array, ""]) -> Float[Array, ""]:
         """Binary cross-entropy."""
-        logits = jax.vmap(lambda row: logit_of(model, self.train, self.train_obstacles, row))(rows)
+        logits = jax.vmap(lambda row: judged_one(model.logit, self.train, self.train_obstacles, row))(rows)
         return cross_entropy(logits, self.train.right(member)[rows]).mean()
 
     def validate(self, model: Any, member: Float[Array, ""]) -> dict[str, Float[Array, ""]]:
         """Cross-entropy and accuracy, both with the two classes weighing alike."""
-        logits = judged(model, self.validation, self.validation_obstacles)
+        logits = judged(model.logit, self.validation, self.validation_obstacles)
         kept, right = self.validation.kept(member), self.validation.right(member)
         weight = kept * jnp.where(right, 1 / (kept & right).sum(), 1 / (kept & ~right).sum()) / 2
         return {
@@ -57,31 +57,23 @@ def cross_entropy(logits: Float[Array, "*b"], right: Array) -> Float[Array, "*b"
     return jnp.logaddexp(0.0, logits) - logits * right
 
 
-def logit_of(model: Any, examples: Examples, obstacles: Obstacles, row: Int[Array, ""]) -> Float[Array, ""]:
-    """A network's output for one example."""
+def judged_one(
+    judge: Callable[..., Array], examples: Examples, obstacles: Obstacles, row: Int[Array, ""]
+) -> Float[Array, ""]:
+    """What ``judge``, called as a `Reliability` is, says of one example."""
     one, number = jax.tree.map(lambda leaf: leaf[row], (examples.transition, examples.trajectory))
     scene = jax.tree.map(lambda leaf: leaf[number], obstacles)
-    return model.logit(scene, one.state, one.action, one.next_state, one.uncertainty)
-
-
-def judged(model: Any, examples: Examples, obstacles: Obstacles) -> Float[Array, "n"]:
-    """A network's output for all examples, some at a time."""
-    rows = jnp.arange(len(examples))
-    return jax.lax.map(
-        lambda row: logit_of(model, examples, obstacles, row), rows, batch_size=min(AT_ONCE, len(examples))
-    )
+    return judge(scene, one.state, one.action, one.next_state, one.uncertainty)
 
 
 @eqx.filter_jit
-def scores_of(reliability: Reliability, examples: Examples, obstacles: Obstacles) -> Float[Array, "n"]:
-    """Any judge's scores of all examples."""
-
-    def score(row: Array) -> Array:
-        one, number = jax.tree.map(lambda leaf: leaf[row], (examples.transition, examples.trajectory))
-        scene = jax.tree.map(lambda leaf: leaf[number], obstacles)
-        return reliability(scene, one.state, one.action, one.next_state, one.uncertainty)
-
-    return jax.lax.map(score, jnp.arange(len(examples)), batch_size=min(AT_ONCE, len(examples)))
+def judged(judge: Callable[..., Array], examples: Examples, obstacles: Obstacles) -> Float[Array, "n"]:
+    """`judged_one` of all examples, some at a time."""
+    return jax.lax.map(
+        lambda row: judged_one(judge, examples, obstacles, row),
+        jnp.arange(len(examples)),
+        batch_size=min(AT_ONCE, len(examples)),
+    )
 
 
 def require_both_classes(examples: Examples, threshold: float, split: str) -> None:

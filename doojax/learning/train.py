@@ -123,7 +123,7 @@ def train_classifier(
     models = fit(problem, chosen.fit, seed=seed, run=run, members=jnp.array([threshold]), report=report)
     model = _only_member(models)
     kept, right = (np.asarray(x) for x in (validation.kept(threshold), validation.right(threshold)))
-    logits = np.asarray(eqx.filter_jit(judged)(model, validation, parts[1].obstacles))
+    logits = np.asarray(judged(model.logit, validation, parts[1].obstacles))
     calibration = fit_calibration(logits[kept], right[kept])
     model = eqx.tree_at(lambda m: m.calibration, model, calibration)
     probabilities = np.asarray(calibration(jnp.asarray(logits)))[kept]

@@ -11,7 +11,7 @@ from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble
 from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
 from doojax.models.rasters import ViewConfig
-from doojax.models.recovery import RecoveryConfig, RecoveryNetwork
+from doojax.models.recovery import RecoveryNetwork
 from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
 
 
@@ -28,8 +28,8 @@ def classifier(config: Mapping[str, Any]) -> DistanceClassifier:
 
 
 def recovery(config: Mapping[str, Any]) -> RecoveryNetwork:
-    """A `RecoveryNetwork`; config: the fields of `RecoveryConfig`."""
-    return RecoveryNetwork(RecoveryConfig(**config), key=jax.random.key(0))
+    """A `RecoveryNetwork`; config: the fields of `ClassifierConfig`."""
+    return RecoveryNetwork(ClassifierConfig(**config), key=jax.random.key(0))
 
 
 def full_dynamics(config: Mapping[str, Any]) -> FullDynamics:

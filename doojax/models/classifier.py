@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from doojax.geometry.sdf import signed_distance
-from doojax.models.calibration import Calibration
+from doojax.models.calibration import CalibratedClassifier, Calibration
 from doojax.models.local import Origin, local_frame
 from doojax.types import Obstacles, RopeState
 
@@ -57,7 +57,7 @@ class ChainConvolution(eqx.Module):
         return x + jax.nn.relu(jax.vmap(self.linear)(jnp.concatenate([padded[:-2], x, padded[2:]], axis=1)))
 
 
-class DistanceClassifier(eqx.Module):
+class DistanceClassifier(CalibratedClassifier):
     """Probability that a predicted transition's error is below the threshold that it was trained for."""
 
     embed: eqx.nn.Linear
@@ -76,17 +76,6 @@ class DistanceClassifier(eqx.Module):
         self.calibration = Calibration()
         self.threshold = jnp.array(0.5)
         self.config = config
-
-    def __call__(
-        self,
-        obstacles: Obstacles,
-        state: RopeState,
-        action: Float[Array, "G 3"],
-        next_state: RopeState,
-        uncertainty: Float[Array, ""],
-    ) -> Float[Array, ""]:
-        """See `doojax.models.protocols.Reliability`; a calibrated probability."""
-        return self.calibration(self.logit(obstacles, state, action, next_state, uncertainty))
 
     def logit(
         self,

@@ -98,18 +98,23 @@ class UnconstrainedDynamics(eqx.Module):
             return inputs, flat(points, frame.vectors_in(after.grippers - state.grippers - action))
 
         inputs, outputs = jax.vmap(in_and_out)(states, actions, after)
-        return eqx.tree_at(
-            lambda model: (model.input_mean, model.input_scale, model.output_scale),
-            self,
-            (
-                inputs.mean(0),
-                jnp.maximum(inputs.std(0), SMALLEST_SCALE),
-                jnp.maximum(outputs.std(0), SMALLEST_SCALE),
-            ),
-        )
+        return with_scales(self, inputs, outputs)
 
     def _inputs(self, state: RopeState, action: Float[Array, "G 3"]) -> tuple[LocalFrame, Float[Array, "i"]]:
         frame = local_frame(state, action, self.config.origin, self.config.symmetry)
         local = flat(frame.points_in(state.points), frame.points_in(state.grippers))
         heading = frame.heading(self.config.heading_fold) if self.config.heading_fold else jnp.zeros(0)
         return frame, jnp.concatenate([local, frame.vectors_in(action).reshape(-1), heading])
+
+
+def with_scales[M: eqx.Module](model: M, inputs: Float[Array, "n i"], outputs: Float[Array, "n o"]) -> M:
+    """A model whose inputs are shifted and scaled, and its outputs scaled, by those of n transitions."""
+    return eqx.tree_at(
+        lambda model: (model.input_mean, model.input_scale, model.output_scale),
+        model,
+        (
+            inputs.mean(0),
+            jnp.maximum(inputs.std(0), SMALLEST_SCALE),
+            jnp.maximum(outputs.std(0), SMALLEST_SCALE),
+        ),
+    )

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from doojax.models.dynamics import SMALLEST_SCALE
+from doojax.models.dynamics import with_scales
 from doojax.models.ensemble import with_first
-from doojax.models.local import flat, unflat
-from doojax.models.rasters import Encoder, ViewConfig, local_origin
+from doojax.models.local import flat, local_origin, unflat
+from doojax.models.rasters import Encoder, ViewConfig
 from doojax.types import Obstacles, RopeState
 
 
@@ -100,15 +100,7 @@ class FullDynamics(eqx.Module):
             return self._inputs(state, action), moved
 
         inputs, outputs = jax.vmap(in_and_out)(states, actions, after)
-        return eqx.tree_at(
-            lambda model: (model.input_mean, model.input_scale, model.output_scale),
-            self,
-            (
-                inputs.mean(0),
-                jnp.maximum(inputs.std(0), SMALLEST_SCALE),
-                jnp.maximum(outputs.std(0), SMALLEST_SCALE),
-            ),
-        )
+        return with_scales(self, inputs, outputs)
 
     def _inputs(self, state: RopeState, action: Float[Array, "G 3"]) -> Float[Array, "i"]:
         origin = local_origin(state, self.config.view.origin)

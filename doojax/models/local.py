@@ -46,6 +46,11 @@ class LocalFrame(eqx.Module):
         return jnp.stack([jnp.cos(angle), self.side * jnp.sin(angle)])
 
 
+def local_origin(state: RopeState, origin: Origin) -> Float[Array, "3"]:
+    """The first gripper, or the mean of the rope's points; world frame, metres."""
+    return state.grippers[0] if origin == "gripper" else state.points.mean(0)
+
+
 def local_frame(
     state: RopeState, action: Float[Array, "G 3"], origin: Origin, symmetry: Symmetry
 ) -> LocalFrame:
@@ -60,7 +65,7 @@ def local_frame(
             that it pulls, and is mirrored so that the summed action is to the left of x. Where x has no
             direction (a rope or a pair of grippers exactly upright) it is the world's.
     """
-    at = state.grippers[0] if origin == "gripper" else state.points.mean(0)
+    at = local_origin(state, origin)
     if symmetry == "translation":
         return LocalFrame(at, jnp.array([1.0, 0.0]), jnp.array(1.0))
     if state.grippers.shape[0] > 1:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from doojax.geometry.sdf import signed_distance
 from doojax.geometry.voxels import Grid, inverse_log_raster
-from doojax.models.local import Origin
+from doojax.models.local import Origin, local_origin
 from doojax.types import Obstacles, RopeState
 
 SHARPNESS = 2000.0  # per square metre: a raster falls to one half at 1.9 cm
@@ -81,11 +81,6 @@ def view(preset: Literal["quick", "thesis"], grippers: int) -> ViewConfig:
     if preset == "thesis":
         return ViewConfig(2, "centroid", 40, 40, 0.02)
     return ViewConfig(2, "centroid", 20, 20, 0.04, channels=8, layers=2)
-
-
-def local_origin(state: RopeState, origin: Origin) -> Float[Array, "3"]:
-    """The first gripper, or the mean of the rope's points; world frame, metres."""
-    return state.grippers[0] if origin == "gripper" else state.points.mean(0)
 
 
 def rasterise(obstacles: Obstacles, state: RopeState, config: ViewConfig) -> Float[Array, "Z X Y c"]:

@@ -1,7 +1,5 @@
 """Which action frees a rope whose motion cannot be predicted (thesis sections 2.3.6 and 2.3.7)."""
 
-from dataclasses import dataclass
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,11 +7,6 @@ from jaxtyping import Array, Float
 
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.types import Obstacles, RopeState
-
-
-@dataclass(frozen=True)
-class RecoveryConfig(ClassifierConfig):
-    """What a `RecoveryNetwork` is built from: as the classifier whose encoder it begins with."""
 
 
 class RecoveryNetwork(eqx.Module):
@@ -26,7 +19,7 @@ class RecoveryNetwork(eqx.Module):
 
     network: DistanceClassifier
 
-    def __init__(self, config: RecoveryConfig, *, key: Array):
+    def __init__(self, config: ClassifierConfig, *, key: Array):
         self.network = DistanceClassifier(config, key=key)
 
     def __call__(

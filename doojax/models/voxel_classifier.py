@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from doojax.models.calibration import Calibration
-from doojax.models.local import flat
-from doojax.models.rasters import Encoder, ViewConfig, local_origin
+from doojax.models.calibration import CalibratedClassifier, Calibration
+from doojax.models.local import flat, local_origin
+from doojax.models.rasters import Encoder, ViewConfig
 from doojax.types import Obstacles, RopeState
 
 
@@ -27,7 +27,7 @@ class VoxelClassifierConfig:
         return 6 * (self.points + self.view.grippers) + 3 * self.view.grippers + 1
 
 
-class VoxelClassifier(eqx.Module):
+class VoxelClassifier(CalibratedClassifier):
     """Probability that a predicted transition's error is below the threshold that it was trained for.
 
     Each of the transition's two states is seen as voxels around it, in world and local coordinates, with the
@@ -56,17 +56,6 @@ class VoxelClassifier(eqx.Module):
         self.calibration = Calibration()
         self.threshold = jnp.array(0.5)
         self.config = config
-
-    def __call__(
-        self,
-        obstacles: Obstacles,
-        state: RopeState,
-        action: Float[Array, "G 3"],
-        next_state: RopeState,
-        uncertainty: Float[Array, ""],
-    ) -> Float[Array, ""]:
-        """See `doojax.models.protocols.Reliability`; a calibrated probability."""
-        return self.calibration(self.logit(obstacles, state, action, next_state, uncertainty))
 
     def logit(
         self,

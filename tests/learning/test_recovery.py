@@ -15,7 +15,7 @@ from doojax.learning.recovery import (
     label_recovery,
 )
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
-from doojax.models.recovery import RecoveryConfig, RecoveryNetwork, carried_along
+from doojax.models.recovery import RecoveryNetwork, carried_along
 from doojax.tasks import make_task
 from doojax.types import Obstacles, RopeState
 
@@ -96,7 +96,7 @@ def test_a_perfect_recovery_weighs_as_much_as_any_other(data):
         time=jnp.zeros(2, jnp.int32),
     )
     encoder = DistanceClassifier(ClassifierConfig(**SIZE), key=jax.random.key(1))
-    problem = RecoveryProblem(examples, examples, encoder, RecoveryConfig(**SIZE))
+    problem = RecoveryProblem(examples, examples, encoder, ClassifierConfig(**SIZE))
     model = problem.init(None, key=jax.random.key(2))
     assert (model.network.embed.weight == encoder.embed.weight).all()
     assert (model.network.head.layers[0].weight != encoder.head.layers[0].weight).any()
@@ -115,7 +115,7 @@ def test_a_perfect_recovery_weighs_as_much_as_any_other(data):
 
 
 def test_a_recovery_network_gives_a_probability_that_turns_with_the_scene():
-    network = RecoveryNetwork(RecoveryConfig(**SIZE), key=jax.random.key(3))
+    network = RecoveryNetwork(ClassifierConfig(**SIZE), key=jax.random.key(3))
     state = jax.tree.map(lambda leaf: leaf[0, 0], ropes([[0.0]]))
     scene = jax.tree.map(lambda leaf: leaf[0], scenes(0.3))
     action = jnp.array([[0.02, 0.05, 0.0]])
