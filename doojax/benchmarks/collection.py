@@ -4,9 +4,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from doojax.benchmarks.rollouts import SEED, show
+from doojax.benchmarks.rollouts import SEED
 from doojax.datasets.collect import SHARD_SIZE, collect
-from doojax.experiments.reports import row, write_summary
+from doojax.experiments.reports import row, show, write_summary
 from doojax.tasks import make_task
 
 TRAJECTORIES = {  # the thesis's, by task and phase

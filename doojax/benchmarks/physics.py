@@ -14,9 +14,9 @@ import numpy as np
 from rich.console import Console
 from scipy.stats import ks_2samp
 
-from doojax.benchmarks.rollouts import SEED, sampled_states, show
+from doojax.benchmarks.rollouts import SEED, sampled_states
 from doojax.datasets.collect import random_trajectories
-from doojax.experiments.reports import Row, row, write_summary
+from doojax.experiments.reports import Row, row, show, write_summary
 from doojax.geometry.curves import catenary, clamped_elastica
 from doojax.simulation.build import with_parameters
 from doojax.simulation.engines import make_simulator, resolve_engine

@@ -7,11 +7,9 @@ needs six times that, in cache. MJX holds every intermediate of the whole batch:
 batch of 1,024 streams 60 MB through memory several times a step, and that is what it waits for on a CPU.
 """
 
-import json as json_format
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from doojax.datasets.collect import random_trajectories
-from doojax.experiments.reports import Row, row, write_summary
+from doojax.experiments.reports import row, show, write_summary
 from doojax.simulation.engines import available_engines, resolve_engine
 from doojax.simulation.engines.bare import bare_rollout
 from doojax.simulation.state import SimState, Simulator
@@ -148,15 +145,3 @@ def seconds(run: Callable[[], Any]) -> float:
     start = time.perf_counter()
     run()
     return time.perf_counter() - start
-
-
-def show(rows: list[Row], json: bool) -> None:
-    """Print rows as a table or as JSON."""
-    if json:
-        print(json_format.dumps([asdict(one) for one in rows], indent=1))
-        return
-    table = Table("metric", "of", "value", "unit")
-    for one in rows:
-        of = ", ".join(f"{name} {value}" for name, value in one.tags.items())
-        table.add_row(one.metric, of, f"{one.value:,.4g}", one.unit)
-    Console().print(table)

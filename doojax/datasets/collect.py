@@ -7,16 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from doojax.datasets.manifest import Field
+from doojax.datasets.progress import progress_bar
 from doojax.datasets.writer import DatasetWriter
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState, Simulator
@@ -75,8 +68,8 @@ def collect(
     simulator = the_task.simulator(engine, phase)
     rows = [writer.manifest.rows(shard) for shard in missing]
     faulty = 0
-    with _progress(console) as progress:
-        bar = progress.add_task(f"{task} on {engine}", total=sum(len(row) for row in rows), rate="")
+    with progress_bar(console) as progress:
+        bar = progress.add_task(f"{task} on {engine}", total=sum(len(row) for row in rows), note="")
         for shard, row in zip(missing, rows, strict=True):
             keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(jnp.array(row))
             start, _, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
@@ -86,7 +79,7 @@ def collect(
             done = progress.tasks[bar]
             progress.advance(bar, len(row))
             rate = (done.completed or 0) * (states - 1) / max(done.elapsed or 0, 1e-9)
-            progress.update(bar, rate=f"{rate:,.0f} transitions/s")
+            progress.update(bar, note=f"{rate:,.0f} transitions/s")
     writer.finish()
     console.print(f"{trajectories} trajectories of {states} states in {out}", highlight=False)
     if faulty:
@@ -190,16 +183,3 @@ def _require_room(start: SimState, rows: range) -> None:
             f"the scene of trajectory {rows[int(overfull[0])]} is overfull: no room was found for an "
             "obstacle beside the rope; use fewer or smaller obstacles, or a larger region for them"
         )
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-    )

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from doojax.experiments.model_pictures import save_figure
 from doojax.learning.runs import RunDirectory
 
 
@@ -17,16 +19,12 @@ def draw_curves(run: Path, out: Path) -> None:
     Raises:
         ValueError: no epoch was logged.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     epochs = RunDirectory(run).metrics
     if not epochs:
         raise ValueError(f"{run} has no curves: no epoch has been trained yet")
     names = [name for name in epochs[0] if name != "epoch"]
-    figure, axes = pyplot.subplots(1, len(names), figsize=(4 * len(names), 3), squeeze=False)
+    figure = Figure(figsize=(4 * len(names), 3), dpi=100, layout="tight")
+    axes = figure.subplots(1, len(names), squeeze=False)
     for axis, name in zip(axes[0], names, strict=True):
         values = np.array([np.atleast_1d(epoch[name]) for epoch in epochs])
         axis.plot([epoch["epoch"] for epoch in epochs], values, linewidth=1)
@@ -34,6 +32,4 @@ def draw_curves(run: Path, out: Path) -> None:
             axis.set_yscale("log")
         axis.set(xlabel="epoch", title=name.replace("_", " "))
         axis.grid(alpha=0.3)
-    figure.tight_layout()
-    figure.savefig(out, dpi=100)
-    pyplot.close(figure)
+    save_figure(figure, out)

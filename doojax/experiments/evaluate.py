@@ -16,16 +16,9 @@ import jax
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from doojax.datasets.files import describe_contents, file_digest, write_atomically
+from doojax.datasets.progress import progress_bar
 from doojax.experiments.methods import RECIPES, find_models, make_method, needed_models
 from doojax.experiments.outcomes import CONFIG, METHOD, SCENES, SECONDS
 from doojax.experiments.records import TrialRecord, save_record
@@ -116,8 +109,8 @@ def evaluate(
         method = make_method(name, the_task, simulator, found)
         missing = [i for i in range(trials) if not record_file(out, name, i).exists()]
         groups = sorted({i // side_by_side for i in missing})
-        with _progress(console) as progress:
-            bar = progress.add_task(name, total=trials, completed=trials - len(missing), found="")
+        with progress_bar(console) as progress:
+            bar = progress.add_task(name, total=trials, completed=trials - len(missing), note="")
             reached, broken = 0, []
             for group in groups:
                 begun = time.perf_counter()
@@ -131,7 +124,7 @@ def evaluate(
                     reached += record.reached
                     broken += [record.end] if record.end.startswith(CRASHED) else []
                 _note_seconds(out / name, len(fresh), time.perf_counter() - begun)
-                progress.update(bar, advance=len(fresh), found=f"{reached} reached")
+                progress.update(bar, advance=len(fresh), note=f"{reached} reached")
         if broken:
             console.print(
                 f"[red]{name}: {len(broken)} trials {escape(broken[0])}[/] (their records say where; delete "
@@ -222,16 +215,3 @@ def attempted(
 def _note_seconds(folder: Path, trials: int, seconds: float) -> None:
     with (folder / SECONDS).open("a", encoding="utf-8") as file:
         file.write(json.dumps({"trials": trials, "seconds": round(seconds, 3)}) + "\n")
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[found]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-    )

@@ -1,7 +1,5 @@
 """How good trained models are on data that they have not seen: `doojax evaluate-model`."""
 
-import json as json_format
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from rich.console import Console
-from rich.table import Table
 
 from doojax.experiments.model_pictures import draw_classifier, draw_dynamics
 from doojax.experiments.recovery_trials import recovery_rows
-from doojax.experiments.reports import Row, row, write_summary
+from doojax.experiments.reports import Row, row, show, write_summary
 from doojax.experiments.statistics import bootstrap
 from doojax.learning.calibration import conformal_threshold
 from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.data import Trajectories, load_split, open_dataset
 from doojax.learning.labels import Examples, LabelConfig, label
-from doojax.learning.metrics import auroc, counts, expected_calibration_error
+from doojax.learning.metrics import Counts, auroc, counts, expected_calibration_error
 from doojax.learning.reliability import judged, require_both_classes
 from doojax.learning.train import ALPHAS
 from doojax.models import Always, CollisionChecker
@@ -148,8 +144,10 @@ def classifier_rows(
     limit = float(judge.threshold)
     found, n = counts(scores[0] > limit, right[0]), len(right[0])
     rows = [row("right_fraction", tags, right[0].mean(), "", n=n)]
+    drawn = _by_trajectory(trajectory[0], scores[0] > limit, right[0], seed)
     for name in ("accuracy", "precision", "recall", "specificity"):
-        low, high = _by_trajectory(trajectory[0], scores[0] > limit, right[0], name, seed)
+        samples = np.asarray(getattr(drawn, name))
+        low, high = (None, None) if np.isnan(samples).any() else np.quantile(samples, [0.025, 0.975])
         rows.append(row(f"classifier_{name}", tags, getattr(found, name), "", low, high, n))
     rows.append(row("classifier_auroc", tags, auroc(scores[0], right[0]), "", n=n))
     if tags["model"] in UNLEARNED:
@@ -191,38 +189,12 @@ def resplits(
     return wrong, accepted
 
 
-def _by_trajectory(
-    trajectory: np.ndarray, accepted: np.ndarray, right: np.ndarray, name: str, seed: int
-) -> tuple[float | None, float | None]:
-    """A 95 % interval of a figure, trajectories drawn anew with replacement."""
+def _by_trajectory(trajectory: np.ndarray, accepted: np.ndarray, right: np.ndarray, seed: int) -> Counts:
+    """The counts of 1,000 samples, trajectories drawn anew with replacement."""
     kinds = np.stack([accepted & right, accepted & ~right, ~accepted & right, ~accepted & ~right], axis=1)
     numbers, index = np.unique(trajectory, return_inverse=True)
     totals = np.zeros((len(numbers), 4))
     np.add.at(totals, index, kinds)
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(len(numbers), np.full(len(numbers), 1 / len(numbers)), size=1000) @ totals
-    tp, fp, fn, tn = drawn.T
-    parts = {
-        "accuracy": (tp + tn, tp + fp + fn + tn),
-        "precision": (tp, tp + fp),
-        "recall": (tp, tp + fn),
-        "specificity": (tn, tn + fp),
-    }
-    part, whole = parts[name]
-    if (whole == 0).any():
-        return None, None
-    low, high = np.quantile(part / whole, [0.025, 0.975])
-    return float(low), float(high)
-
-
-def show(rows: list[Row], as_json: bool) -> None:
-    """Print rows, as JSON or as a table."""
-    if as_json:
-        print(json_format.dumps([asdict(one) for one in rows]))
-        return
-    table = Table("metric", "of", "value", "95 % interval")
-    for one in rows:
-        tags = ", ".join(f"{key} {value}" for key, value in one.tags.items())
-        interval = "" if one.low is None or one.high is None else f"{one.low:.4g} to {one.high:.4g}"
-        table.add_row(one.metric, tags, f"{one.value:.4g} {one.unit}", interval)
-    Console().print(table)
+    return Counts(*drawn.T)

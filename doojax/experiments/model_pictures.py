@@ -4,14 +4,16 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from doojax.learning.metrics import reliability_diagram
 
 
 def draw_dynamics(out: Path, error: Float[np.ndarray, "K T N"], title: str) -> None:
     """Errors (m) by step, as quantiles over trajectories and points, and by point of the rope."""
-    pyplot = _pyplot()
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 3.4), constrained_layout=True)
+    figure, left, right = _two_panels()
     steps = np.arange(1, error.shape[1] + 1)
     by_step = 100 * np.quantile(error, [0.1, 0.5, 0.9], axis=(0, 2))
     left.fill_between(steps, by_step[0], by_step[2], alpha=0.25, label="10 % to 90 %")
@@ -21,15 +23,14 @@ def draw_dynamics(out: Path, error: Float[np.ndarray, "K T N"], title: str) -> N
     left.legend()
     right.bar(np.arange(error.shape[2]), 100 * error.mean((0, 1)))
     right.set(xlabel="point of the rope", ylabel="mean error, cm")
-    _save(pyplot, figure, out)
+    save_figure(figure, out)
 
 
 def draw_classifier(
     out: Path, probabilities: Float[np.ndarray, "n"], right: Bool[np.ndarray, "n"], title: str
 ) -> None:
     """A reliability diagram, and how probabilities are spread over right and wrong predictions."""
-    pyplot = _pyplot()
-    figure, (left, other) = pyplot.subplots(1, 2, figsize=(9, 3.4), constrained_layout=True)
+    figure, left, other = _two_panels()
     mean, true, share = reliability_diagram(probabilities, right)
     left.plot([0, 1], [0, 1], color="grey", linewidth=1)
     left.scatter(mean, true, s=20 + 400 * share)
@@ -40,19 +41,16 @@ def draw_classifier(
     )
     other.set(xlabel="probability given", ylabel="predictions")
     other.legend()
-    _save(pyplot, figure, out)
+    save_figure(figure, out)
 
 
-def _pyplot():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot
-
-
-def _save(pyplot, figure, out: Path) -> None:
+def save_figure(figure: Figure, out: Path) -> None:
+    """Write a PNG, and the folder that it is in."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out, dpi=100)
-    pyplot.close(figure)
+    FigureCanvasAgg(figure).print_png(out)
+
+
+def _two_panels() -> tuple[Figure, Axes, Axes]:
+    figure = Figure(figsize=(9, 3.4), dpi=100, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    return figure, left, right

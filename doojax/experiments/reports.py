@@ -12,13 +12,16 @@ import math
 import os
 import platform
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from operator import index
 from pathlib import Path
 from typing import Any, SupportsFloat, SupportsIndex
+
+from rich.console import Console
+from rich.table import Table
 
 import doojax
 
@@ -319,3 +322,16 @@ def is_finite(value: object) -> bool:
 def is_name(value: object) -> bool:
     """Is this a name for a metric or a tag?"""
     return isinstance(value, str) and re.fullmatch(r"[a-z][a-z0-9_]*", value) is not None
+
+
+def show(rows: Sequence[Row], as_json: bool) -> None:
+    """Print rows, as a table or as JSON."""
+    if as_json:
+        print(json.dumps([asdict(one) for one in rows], indent=1))
+        return
+    table = Table("metric", "of", "value", "95 % interval", "unit")
+    for one in rows:
+        tags = ", ".join(f"{name} {value}" for name, value in one.tags.items())
+        interval = "" if one.low is None or one.high is None else f"{one.low:,.4g} to {one.high:,.4g}"
+        table.add_row(one.metric, tags, f"{one.value:,.4g}", interval, one.unit)
+    Console().print(table)

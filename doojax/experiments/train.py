@@ -7,15 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
+from doojax.datasets.progress import progress_bar
 from doojax.experiments.curves import draw_curves
 from doojax.learning import train as learning
 from doojax.learning.fit import Report
@@ -92,20 +85,11 @@ def _named(path: Path | None, otherwise: str) -> Path:
 
 @contextmanager
 def _progress(console: Console, what: str) -> Iterator[Report]:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[figures]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        bar = progress.add_task(what, total=None, figures="preparing")
+    with progress_bar(console) as progress:
+        bar = progress.add_task(what, total=None, note="preparing")
 
         def report(number: int, total: int, metrics: dict[str, np.ndarray]) -> None:
             shown = "  ".join(f"{name} {values.mean():.4g}" for name, values in metrics.items())
-            progress.update(bar, completed=number, total=total, figures=shown)
+            progress.update(bar, completed=number, total=total, note=shown)
 
         yield report

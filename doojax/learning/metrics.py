@@ -11,15 +11,15 @@ BINS = 15  # of probabilities, for calibration
 
 @dataclass(frozen=True)
 class Counts:
-    """What became of n judged transitions."""
+    """What became of n judged transitions, or of several such samples: numbers, or arrays of them."""
 
-    accepted_right: int
-    accepted_wrong: int
-    rejected_right: int
-    rejected_wrong: int
+    accepted_right: int | np.ndarray
+    accepted_wrong: int | np.ndarray
+    rejected_right: int | np.ndarray
+    rejected_wrong: int | np.ndarray
 
     @property
-    def accuracy(self) -> float:
+    def accuracy(self) -> float | np.ndarray:
         """Which fraction was judged as it was."""
         return _ratio(
             self.accepted_right + self.rejected_wrong,
@@ -27,17 +27,17 @@ class Counts:
         )
 
     @property
-    def precision(self) -> float:
+    def precision(self) -> float | np.ndarray:
         """Which fraction of those accepted was right; NaN if none was accepted."""
         return _ratio(self.accepted_right, self.accepted_right + self.accepted_wrong)
 
     @property
-    def recall(self) -> float:
+    def recall(self) -> float | np.ndarray:
         """Which fraction of those that were right was accepted."""
         return _ratio(self.accepted_right, self.accepted_right + self.rejected_right)
 
     @property
-    def specificity(self) -> float:
+    def specificity(self) -> float | np.ndarray:
         """Which fraction of those that were wrong was rejected."""
         return _ratio(self.rejected_wrong, self.rejected_wrong + self.accepted_wrong)
 
@@ -87,5 +87,6 @@ def expected_calibration_error(
     return float((share * np.abs(mean - true)).sum())
 
 
-def _ratio(part: int, whole: int) -> float:
-    return part / whole if whole else float("nan")
+def _ratio(part: int | np.ndarray, whole: int | np.ndarray) -> float | np.ndarray:
+    with np.errstate(invalid="ignore"):
+        return np.true_divide(part, whole)

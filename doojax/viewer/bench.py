@@ -4,20 +4,16 @@ All is seen from inside a headless Chromium on this machine, in a page of 1280 x
 draws: a graphics card draws the same faster. The contents are made up (`doojax.viewer.examples`).
 """
 
-import json as json_format
 import tempfile
 import time
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from doojax.benchmarks.signature import median_with_interval
 from doojax.experiments.records import save_record
-from doojax.experiments.reports import Row, row, write_summary
+from doojax.experiments.reports import Row, row, show, write_summary
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
 from doojax.viewer.examples import trial_record, write_dataset
@@ -34,7 +30,6 @@ OPENINGS = 7
 CHANGES = 60
 SECONDS = 8.0  # for which the tree is turned
 SOFTWARE = {"renderer": "software", "page": "1280x800"}
-TAGS = ("trajectories", "nodes", *SOFTWARE)
 
 # Keeps what was drawn readable, and notes the frames in which a large tree was drawn.
 WATCH = """
@@ -120,15 +115,7 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
     finally:
         server.stop()
     write_summary(out / "summary.json", command="doojax bench viewer", seed=SEED, rows=rows)
-    if json:
-        print(json_format.dumps([asdict(one) for one in rows], indent=1))
-        return
-    table = Table("metric", "value", "95 % interval", "unit", "n", *TAGS)
-    for one in rows:
-        bounds = "" if one.low is None else f"{one.low:.3g} to {one.high:.3g}"
-        tags = [str(one.tags.get(tag, "")) for tag in TAGS]
-        table.add_row(one.metric, f"{one.value:.3g}", bounds, one.unit, str(one.n), *tags)
-    Console().print(table)
+    show(rows, json)
 
 
 def changing(page: "Page") -> Row:
