@@ -25,6 +25,14 @@ BENCHMARKS: Commands = {
     "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
     "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
     "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
+    "training": (
+        "doojax.benchmarks.training:training",
+        "train steps per second with 1 and 8 members, and in flax",
+    ),
+    "classifiers": (
+        "doojax.benchmarks.classifiers:classifiers",
+        "microseconds a judgement takes, from distances and from voxels",
+    ),
     "viewer": ("doojax.viewer.bench:viewer", "how soon the page opens and how fast it follows"),
     "signature": (
         "doojax.benchmarks.signature:signature",
@@ -38,6 +46,10 @@ COMMANDS: Commands = {
     "evaluate-model": (
         "doojax.experiments.evaluate_model:evaluate_model",
         "measure a trained model on data that it has not seen",
+    ),
+    "sweep-threshold": (
+        "doojax.experiments.sweep_threshold:sweep_threshold",
+        "train classifiers for several thresholds and seeds at once, and measure them",
     ),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
     "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),

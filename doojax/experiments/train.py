@@ -58,7 +58,7 @@ def train(
         wanted = "two data sets, one of each phase" if what == "full_dynamics" else "one data set"
         raise ValueError(f"{what} learns from {wanted}; {len(data)} were named")
     console = Console(stderr=True)
-    with _progress(console, what) as report:
+    with training_progress(console, what) as report:
         common: dict[str, Any] = {"preset": preset, "epochs": epochs, "seed": seed, "report": report}
         if what == "dynamics":
             header = learning.train_dynamics(data[0], out, **common)
@@ -84,7 +84,8 @@ def _named(path: Path | None, otherwise: str) -> Path:
 
 
 @contextmanager
-def _progress(console: Console, what: str) -> Iterator[Report]:
+def training_progress(console: Console, what: str) -> Iterator[Report]:
+    """A bar with an epoch's figures, means over members; the context's value is to be told of each epoch."""
     with progress_bar(console) as progress:
         bar = progress.add_task(what, total=None, note="preparing")
 

@@ -59,7 +59,7 @@ def train_dynamics(
             "from phase unconstrained"
         )
     chosen = _with_epochs(dynamics_preset(preset, task), epochs)
-    run = _open_run(out, "dynamics", task.name, chosen, seed, {"data": data / MANIFEST})
+    run = open_run(out, "dynamics", task.name, chosen, seed, {"data": data / MANIFEST})
     train, validation = load_split(dataset, "train"), load_split(dataset, "validation")
     problem = DynamicsProblem(train, validation, chosen.network, preset != "thesis")
     members = fit(problem, chosen.fit, seed=seed, run=run, report=report)
@@ -82,7 +82,7 @@ def train_full_dynamics(
             raise ValueError(f"{path} holds data of the task {dataset.config['task']!r}, not {task.name!r}")
     chosen = _with_epochs(full_dynamics_preset(preset, task), epochs)
     files = {f"data{i}": path / MANIFEST for i, path in enumerate(data)}
-    run = _open_run(out, "full_dynamics", task.name, chosen, seed, files)
+    run = open_run(out, "full_dynamics", task.name, chosen, seed, files)
     parts = {split: [load_split(one, split) for one in datasets] for split in ("train", "validation")}
     steps = min(part.actions.shape[1] for part in parts["train"])
     train, validation = (windows(part, steps) for part in parts.values())
@@ -106,13 +106,13 @@ def train_classifier(
     threshold: float | None = None,
 ) -> Header:
     """A calibrated classifier, from distances or from voxels, and its conformal thresholds."""
-    dataset, ensemble, task, threshold = _judged_data(data, dynamics, threshold)
+    dataset, ensemble, task, threshold = judged_data(data, dynamics, threshold)
     network, preset_of = CLASSIFIERS[kind]
     chosen = _with_epochs(preset_of(preset, task), epochs)
     labels = labels_preset(preset)
     files = {"data": data / MANIFEST, "dynamics": model_file(dynamics)}
     settings = {"threshold_m": threshold, "labels": asdict(labels)}
-    run = _open_run(out, kind, task.name, chosen, seed, files, **settings)
+    run = open_run(out, kind, task.name, chosen, seed, files, **settings)
     parts = [load_split(dataset, split) for split in ("train", "validation")]
     train, validation = (label(ensemble, part, labels) for part in parts)
     require_both_classes(train, threshold, "train")
@@ -151,7 +151,7 @@ def train_recovery(
     report: Report,
 ) -> Header:
     """A recovery network that begins with a classifier's encoder."""
-    dataset, ensemble, task, _ = _judged_data(data, dynamics, None)
+    dataset, ensemble, task, _ = judged_data(data, dynamics, None)
     judge, _ = load_model(classifier, task=task.name, kind="classifier")
     chosen = _with_epochs(recovery_preset(preset, judge), epochs)
     files = {
@@ -159,7 +159,7 @@ def train_recovery(
         "dynamics": model_file(dynamics),
         "classifier": model_file(classifier),
     }
-    run = _open_run(out, "recovery", task.name, chosen, seed, files)
+    run = open_run(out, "recovery", task.name, chosen, seed, files)
     keys = jax.random.split(jax.random.key(seed), 2)
     train, validation = (
         label_recovery(task, ensemble, judge, load_split(dataset, split), key=key)
@@ -185,7 +185,7 @@ def model_file(path: Path) -> Path:
     return path / MODEL if path.is_dir() else path
 
 
-def _judged_data(data: Path, dynamics: Path, threshold: float | None) -> tuple[Dataset, Ensemble, Any, float]:
+def judged_data(data: Path, dynamics: Path, threshold: float | None) -> tuple[Dataset, Ensemble, Any, float]:
     """Phase-two data with the dynamics whose predictions are compared with it, and the threshold."""
     dataset = open_dataset(data)
     name = dataset.config["task"]
@@ -212,9 +212,10 @@ def _with_epochs(preset: Preset, epochs: int | None) -> Preset:
     return Preset(preset.network, replace(preset.fit, epochs=epochs))
 
 
-def _open_run(
+def open_run(
     out: Path, what: str, task: str, preset: Preset, seed: int, files: dict[str, Path], **settings: Any
 ) -> RunDirectory:
+    """A run's folder, with all that determines the result: ``files`` by their digests."""
     config = {
         "what": what,
         "task": task,

@@ -1,0 +1,137 @@
+"""How long a transition's judgement takes: from distances, beside the thesis's classifier from voxels.
+
+Arithmetic, for `rope_dragging` and the thesis's sizes. From voxels: two states, each 40,000 voxels of three
+channels; three convolutions of 9 x 3 x 26, 9 x 26 x 26 and 9 x 26 x 26 multiplications at 38,416, 8,836 and
+1,936 places: 190 MFLOP, so that two cores at 50 GFLOP/s need 4 ms. From distances: 21 points of the chain,
+distances to at most a handful of primitives at three moments, and 110,000 weights: 5 MFLOP, 0.1 ms.
+
+Weights are as they are before training: how long a network takes does not depend on what it has learned.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from doojax.benchmarks.signature import median_with_interval
+from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.learning.presets import PresetName, classifier_preset, voxel_classifier_preset
+from doojax.models.classifier import DistanceClassifier
+from doojax.models.voxel_classifier import VoxelClassifier
+from doojax.simulation.state import SimState
+from doojax.tasks import make_task
+from doojax.tasks.base import Task
+from doojax.types import Obstacles, RopeState, Transition
+
+SEED = 0
+ROUNDS = 9
+AT_LEAST = 0.1  # s, of one timing
+KINDS = {
+    "classifier": (DistanceClassifier, classifier_preset, (256, 1024, 4096)),
+    "voxel_classifier": (VoxelClassifier, voxel_classifier_preset, (1, 8, 32)),
+}
+"""Network, its sizes, and the batches that are tried: far more voxels than these fit no cache."""
+
+
+def classifiers(
+    *,
+    tasks: tuple[str, ...] = ("rope_dragging", "dual_gripper"),
+    json: bool = False,
+    out: Path = Path("results/where_to_trust"),
+) -> None:
+    """Measure microseconds per judged transition of both classifiers; write results/where_to_trust.
+
+    Each is run on batches of several sizes, of which the best counts. All take turns.
+
+    Args:
+        tasks: whose scenes and ropes.
+        json: print the rows as JSON instead of a table.
+        out: the folder of summary.json.
+
+    Raises:
+        ValueError: for an unknown task.
+    """
+    rows: list[Row] = []
+    for task in map(make_task, tasks):
+        examples = drawn(task, max(KINDS["classifier"][2]), key=jax.random.key(SEED))
+        for preset in get_args(PresetName):
+            seconds = take_turns(runs_of(task, preset, *examples))
+            rows += rows_of({"task": task.name, "preset": preset}, seconds)
+    command = f"doojax bench classifiers --tasks {' '.join(tasks)}"
+    write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
+    show(rows, json)
+
+
+def drawn(task: Task, count: int, *, key: Array) -> tuple[Obstacles, Transition]:
+    """``count`` scenes of the task, and in each a rope that moves as its grippers do on average."""
+    simulator = task.simulator("mujoco")
+    start_key, action_key = jax.random.split(key)
+    starts: SimState = jax.jit(jax.vmap(simulator.reset))(jax.random.split(start_key, count))
+    state: RopeState = simulator.observations(starts).rope
+    actions = jax.vmap(task.draw_action)(jax.random.split(action_key, count))
+    after = RopeState(state.points + actions.mean(1, keepdims=True), state.grippers + actions)
+    return jax.vmap(simulator.obstacles)(starts), Transition(state, actions, after, jnp.full(count, 0.01))
+
+
+def runs_of(
+    task: Task, preset: PresetName, obstacles: Obstacles, transitions: Transition
+) -> dict[tuple[str, int], Callable[[], Any]]:
+    """What is timed, by kind and batch: a function that judges a batch and waits."""
+    runs = {}
+    for kind, (network, preset_of, batches) in KINDS.items():
+        model = network(preset_of(preset, task).network, key=jax.random.key(SEED))
+        for batch in batches:
+            part = jax.tree.map(lambda leaf, b=batch: leaf[:b], (obstacles, transitions))
+            runs[kind, batch] = partial(_judge_and_wait, model, *part)
+    return runs
+
+
+def take_turns(runs: Mapping[tuple[str, int], Callable[[], Any]]) -> dict[tuple[str, int], np.ndarray]:
+    """Seconds per transition, a figure a round; calls that are short are repeated within it."""
+    repeats = {}
+    for name, run in runs.items():
+        run()  # compiles
+        begun = time.perf_counter()
+        run()
+        repeats[name] = max(1, round(AT_LEAST / (time.perf_counter() - begun)))
+    seconds: dict[tuple[str, int], list[float]] = {name: [] for name in runs}
+    for _ in range(ROUNDS):
+        for name, run in runs.items():
+            begun = time.perf_counter()
+            for _ in range(repeats[name]):
+                run()
+            seconds[name].append((time.perf_counter() - begun) / repeats[name] / name[1])
+    return {name: np.array(values) for name, values in seconds.items()}
+
+
+def rows_of(tags: Mapping[str, Any], seconds: Mapping[tuple[str, int], np.ndarray]) -> list[Row]:
+    """Each kind's best batch, and how many times faster the one from distances is."""
+    rows, best = [], {}
+    for kind in KINDS:
+        batch = min(
+            (name[1] for name in seconds if name[0] == kind), key=lambda b: np.median(seconds[kind, b])
+        )
+        best[kind] = seconds[kind, batch]
+        value, low, high = (1e6 * x for x in median_with_interval(best[kind]))
+        own = {**tags, "model": kind}
+        rows.append(row("classifier_us_per_transition", own, value, "us", low, high, ROUNDS))
+        rows.append(row("classifier_best_batch", own, batch, ""))
+    value, low, high = median_with_interval(best["voxel_classifier"] / best["classifier"])
+    rows.append(row("classifier_speedup", tags, value, "", low, high, ROUNDS))
+    return rows
+
+
+@eqx.filter_jit
+def _judge(model: Any, obstacles: Obstacles, batch: Transition) -> Array:
+    return jax.vmap(model)(obstacles, batch.state, batch.action, batch.next_state, batch.uncertainty)
+
+
+def _judge_and_wait(model: Any, obstacles: Obstacles, batch: Transition) -> Array:
+    return jax.block_until_ready(_judge(model, obstacles, batch))

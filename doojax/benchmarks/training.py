@@ -1,0 +1,170 @@
+"""How fast the dynamics ensemble is trained, beside the same network, loss and optimiser in flax.
+
+Arithmetic: rolling out a trajectory of T actions and going back through it takes 6 T operations a weight. The
+thesis's network has 1.1 million weights: a batch of 16 with T = 9 needs 1 GFLOP a step and member, some 20 ms
+on two cores at 50 GFLOP/s; Adam reads and writes 30 MB, some 3 ms. Nothing of this is shared among members,
+so that 8 of them on a CPU cost 8 times as much as one, at best. A GPU is idle most of the time with one.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array
+
+from doojax.benchmarks.signature import median_with_interval
+from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.learning.data import Trajectories
+from doojax.learning.fit import FitConfig, epoch, learning_rates, start
+from doojax.learning.losses import DynamicsProblem
+from doojax.learning.presets import PresetName, dynamics_preset
+from doojax.simulation.scenes import obstacles_at, parked_poses
+from doojax.tasks import make_task
+from doojax.tasks.base import Task
+from doojax.types import RopeState
+
+SEED = 0
+MEMBERS = 8
+ROUNDS = 11
+STEPS = {"thesis": 16, "quick": 64}  # of an epoch
+WANDER = 0.02  # standard deviation of a point's motion in one step, m
+
+
+def training(
+    *, task: str = "rope_dragging", json: bool = False, out: Path = Path("results/where_to_trust")
+) -> None:
+    """Measure train steps per second with 1 and 8 members, and in flax; write results/where_to_trust.
+
+    Ours are whole epochs as `doojax train` runs them, validation on a few trajectories and the choice of the
+    best weights included; flax's are the steps alone. All take turns, on random data of the task's shapes.
+    A step of 8 members trains all of them.
+
+    Args:
+        task: rope_dragging or dual_gripper: whose shapes.
+        json: print the rows as JSON instead of a table.
+        out: the folder of summary.json.
+
+    Raises:
+        ModuleNotFoundError: flax is not installed; `pip install flax` does that.
+        ValueError: for an unknown task.
+    """
+    the_task = make_task(task)
+    rows = [one for preset in get_args(PresetName) for one in measure(the_task, preset)]
+    command = f"doojax bench training --task {task}"
+    write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
+    show(rows, json)
+
+
+def measure(task: Task, preset: PresetName) -> list[Row]:
+    """Rates and ratios for one preset's network, batch size and learning rate."""
+    chosen = dynamics_preset(preset, task)
+    steps = STEPS[preset]
+    periods = task.trajectory_states["unconstrained"] - 1
+    train = random_trajectories(task, steps * chosen.fit.batch_size, periods, key=jax.random.key(SEED))
+    few = jax.tree.map(lambda leaf: leaf[:4], train)
+    problem = DynamicsProblem(train, few, chosen.network, preset != "thesis")
+
+    def config(members: int) -> FitConfig:
+        return FitConfig(
+            epochs=1 + ROUNDS,
+            batch_size=chosen.fit.batch_size,
+            members=members,
+            learning_rate=chosen.fit.learning_rate,
+            schedule=chosen.fit.schedule,
+        )
+
+    seconds = take_turns(
+        {
+            "one": our_epochs(problem, config(1)),
+            "all": our_epochs(problem, config(MEMBERS)),
+            "flax": flax_epochs(problem, config(1)),
+        }
+    )
+    tags = {"task": task.name, "model": "dynamics", "preset": preset}
+    rows = []
+    for name, members, library in (("one", 1, "doojax"), ("all", MEMBERS, "doojax"), ("flax", 1, "flax")):
+        rate = median_with_interval(steps / seconds[name])
+        own = tags | {"members": members, "library": library}
+        rows.append(row("train_steps_per_s", own, rate[0], "1/s", rate[1], rate[2], ROUNDS))
+    cost = median_with_interval(seconds["all"] / seconds["one"])
+    rows.append(row("ensemble_cost_ratio", tags | {"members": MEMBERS}, *_ratio(cost)))
+    faster = median_with_interval(seconds["flax"] / seconds["one"])
+    rows.append(row("throughput_ratio", tags | {"against": "flax"}, *_ratio(faster)))
+    return rows
+
+
+def random_trajectories(task: Task, count: int, periods: int, *, key: Array) -> Trajectories:
+    """``count`` ropes whose points, and the grippers that ``periods`` actions move, wander about."""
+    links, grippers = task.scene.rope_model.links, task.grippers
+    keys = jax.random.split(key, 3)
+    first = 0.2 * jax.random.normal(keys[0], (count, 1, links + grippers, 3))
+    moves = WANDER * jax.random.normal(keys[1], (count, periods, links + grippers, 3))
+    points = jnp.concatenate([first, first + jnp.cumsum(moves, axis=1)], axis=1)
+    obstacles = obstacles_at(task.scene, *parked_poses(len(task.scene.obstacles)))
+    return Trajectories(
+        states=RopeState(points[:, :, :links], points[:, :, links:]),
+        actions=moves[:, :, links:],
+        obstacles=jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), obstacles),
+        rows=jnp.arange(count),
+    )
+
+
+def our_epochs(problem: DynamicsProblem, config: FitConfig) -> Callable[[int], None]:
+    """A function that trains one epoch, given its number, from 1, as `doojax.learning.fit.fit` does."""
+    key = jax.random.key(SEED)
+    state, static = start(problem, config, None, key=key)
+
+    def run(number: int) -> None:
+        nonlocal state
+        keys = jax.random.split(jax.random.fold_in(key, number), config.members)
+        settings = (problem, static, None, keys, config, jnp.array(number))
+        state, measured = epoch(settings, state)
+        jax.block_until_ready((state, measured))
+
+    return run
+
+
+def flax_epochs(problem: DynamicsProblem, config: FitConfig) -> Callable[[int], None]:
+    """The same in flax, step by step, without validation."""
+    from doojax.benchmarks.flax_peer import peer_state, peer_step
+
+    key = jax.random.key(SEED)
+    steps = len(problem.train) // config.batch_size
+    numbers = jnp.arange(1, 1 + config.epochs)
+    rates = jax.vmap(lambda number: learning_rates(config, number, steps))(numbers).reshape(-1)
+    rate: float | optax.Schedule = config.learning_rate
+    if config.schedule != "constant":
+        rate = lambda count: rates[count]  # noqa: E731
+    state, constants = peer_state(problem.init(None, key=jax.random.fold_in(key, 0)), rate)
+
+    def run(number: int) -> None:
+        nonlocal state
+        epoch_key = jax.random.fold_in(key, number)
+        for rows in problem.batches(None, config.batch_size, key=epoch_key):
+            state, _ = peer_step(state, constants, problem.train, rows)
+        jax.block_until_ready(state.params)
+
+    return run
+
+
+def take_turns(runs: Mapping[str, Callable[[int], None]]) -> dict[str, np.ndarray]:
+    """Seconds of each run's epochs, one after the other in every round; the first, which compiles, not."""
+    for run in runs.values():
+        run(1)
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
+    for number in range(2, 2 + ROUNDS):
+        for name, run in runs.items():
+            begun = time.perf_counter()
+            run(number)
+            seconds[name].append(time.perf_counter() - begun)
+    return {name: np.array(values) for name, values in seconds.items()}
+
+
+def _ratio(estimate: tuple[float, float, float]) -> tuple[float, str, float, float, int]:
+    value, low, high = estimate
+    return value, "", low, high, ROUNDS
