@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float, Int
 from rich.console import Console
 
 from doojax.datasets.manifest import Field
@@ -91,19 +92,32 @@ def random_trajectories(
 ) -> tuple[SimState, SimState, Trajectory]:
     """One trajectory of random actions for each of B ``keys``: first and last states, and what was seen."""
     start_keys, action_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
-    start = state = jax.jit(jax.vmap(simulator.reset))(start_keys)
-    sample = jax.jit(jax.vmap(lambda key, rope, previous: task.sample_action(key, rope, previous, phase)))
-    step_keys = jax.jit(jax.vmap(lambda key, t: jax.random.fold_in(key, t), in_axes=(0, None)))
+    start = state = _starts(simulator, start_keys)
     rope = simulator.observations(state).rope
     action = jnp.zeros((keys.shape[0], task.grippers, 3))
     parts = []
     for period in range(periods):
-        action = sample(step_keys(action_keys, period), rope, action)
+        action = _actions(task, phase, action_keys, jnp.asarray(period), rope, action)
         action = jnp.where(jnp.isfinite(action), action, 0.0)  # of a rope that blew up: its fault says so
         state, part = simulator.rollout(state, action[:, None])
         rope = jax.tree.map(lambda leaf: leaf[:, -1], part.states)
         parts.append(part)
     return start, state, joined(parts)
+
+
+@eqx.filter_jit
+def _starts(simulator: Simulator, keys: Array) -> SimState:
+    return jax.vmap(simulator.reset)(keys)
+
+
+@eqx.filter_jit
+def _actions(
+    task: Task, phase: Phase, keys: Array, period: Int[Array, ""], ropes: RopeState, previous: Array
+) -> Float[Array, "B G 3"]:
+    def one(key, rope, before):
+        return task.sample_action(jax.random.fold_in(key, period), rope, before, phase)
+
+    return jax.vmap(one)(keys, ropes, previous)
 
 
 def joined(parts: list[Trajectory]) -> Trajectory:

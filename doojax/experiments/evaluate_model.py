@@ -61,7 +61,10 @@ def evaluate_model(
     tags = {"task": task, "model": header.kind, "preset": header.about.get("preset", "none")}
     test = load_split(dataset, "test")
     if header.kind in ("dynamics", "full_dynamics"):
-        rows = dynamics_rows(loaded, test, tags | {"phase": phase}, out / f"{task}_{header.kind}_{phase}.png")
+        about = tags | {"phase": phase, "split": "test"}
+        rows = dynamics_rows(loaded, test, about, out / f"{task}_{header.kind}_{phase}.png")
+        if "threshold_m" in header.about:
+            rows.append(row("delta_m", tags, header.about["threshold_m"], "m"))
     elif dynamics is None:
         raise ValueError(f"a {header.kind} judges predictions: name the dynamics' run by --dynamics")
     elif header.kind == "recovery":
@@ -98,8 +101,11 @@ def dynamics_rows(model: Any, data: Trajectories, tags: dict[str, Any], picture:
     draw_dynamics(picture, error, f"{tags['task']}, {tags['model']}, {tags['phase']}")
     rows = [
         row("dynamics_error_m", tags, mean.value, "m", mean.low, mean.high, len(error)),
-        row("dynamics_error_p90_m", tags, np.quantile(error, 0.9), "m", n=error.size),
+        row("dynamics_error_max_m", tags, error.max(), "m", n=error.size),
     ]
+    for percent in (90, 95, 99):
+        value = np.quantile(error, percent / 100)
+        rows.append(row(f"dynamics_error_p{percent}_m", tags, value, "m", n=error.size))
     for step, value in enumerate(error.mean((0, 2)), start=1):
         rows.append(row("dynamics_error_at_step_m", tags | {"step": step}, value, "m", n=len(error)))
     for point, value in enumerate(error.mean((0, 1))):
@@ -153,7 +159,7 @@ def classifier_rows(
     if tags["model"] in UNLEARNED:
         return rows
     rows.append(
-        row("classifier_calibration_error", tags, expected_calibration_error(scores[0], right[0]), "", n=n)
+        row("classifier_ece", tags, expected_calibration_error(scores[0], right[0]), "", n=n)
     )
     all_scores, all_right = np.concatenate(scores), np.concatenate(right)
     numbers = np.concatenate([trajectory[0], trajectory[1] + trajectory[0].max() + 1])
@@ -162,7 +168,7 @@ def classifier_rows(
         error = wrong.std(ddof=1) / RESPLITS**0.5
         named = tags | {"alpha": alpha}
         low, high = max(wrong.mean() - 2 * error, 0.0), wrong.mean() + 2 * error
-        rows.append(row("conformal_violation_rate", named, wrong.mean(), "", low, high, RESPLITS))
+        rows.append(row("conformal_violation", named, wrong.mean(), "", low, high, RESPLITS))
         rows.append(row("conformal_accepted_fraction", named, accepted.mean(), "", n=RESPLITS))
     draw_classifier(picture, scores[0], right[0], f"{tags['task']}, {tags['model']}")
     return rows

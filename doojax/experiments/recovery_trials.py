@@ -58,12 +58,12 @@ def recovery_rows(
         )
         for most in (1, MOST_ACTIONS):
             free = success_rate(freed[name] <= most)
-            label = tags | {"recovery": name, "actions": most}
-            result.append(row("freed_fraction", label, free.value, "", free.low, free.high, free.n))
+            label = tags | {"policy": name, "actions": most}
+            result.append(row("unstuck_probability", label, free.value, "", free.low, free.high, free.n))
         spent = np.minimum(freed[name], MOST_ACTIONS)
-        result.append(row("recovery_actions_mean", tags | {"recovery": name}, spent.mean(), "", n=len(spent)))
+        result.append(row("actions_until_unstuck", tags | {"policy": name}, spent.mean(), "", n=len(spent)))
     ratio = _ratio_interval(freed["learned"] <= 1, freed["random"] <= 1, seed)
-    result.append(row("freed_by_one_action_ratio", tags | {"against": "random"}, *ratio, len(rows)))
+    result.append(row("unstuck_ratio", tags | {"against": "random"}, *ratio, len(rows)))
     return result
 
 

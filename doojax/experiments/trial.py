@@ -18,7 +18,18 @@ from jaxtyping import Array, Float, Int
 
 from doojax.experiments.records import Event, EventKind, Look, PlanRecord, TrialRecord
 from doojax.models.protocols import Dynamics, Recovery, Reliability
-from doojax.planning import Goal, HostDynamics, Plan, Problem, Rrt, RrtSettings, Tree, plan_of, search
+from doojax.planning import (
+    Goal,
+    HostDynamics,
+    Plan,
+    Problem,
+    Rrt,
+    RrtSettings,
+    Tree,
+    plan_of,
+    search,
+    shortened,
+)
 from doojax.planning.recovery import recovery_action
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks.base import Task
@@ -152,7 +163,7 @@ def run_trials(
 
         moves = [Moves(np.zeros((0, task.grippers, 3), np.float32))] * len(logs)
         for i in np.flatnonzero(running).tolist():
-            plan = _noted_plan(logs[i], _element(trees, i), seconds, keep_trees)
+            plan = _noted_plan(logs[i], planner, _element((problem, trees), i), seconds, keep_trees)
             if not execute:
                 logs[i].stop(NOT_EXECUTED)
             elif plan.status != "stuck":
@@ -246,13 +257,22 @@ def _judge(logs: Sequence[Log], goals: Goal, rope: RopeState, turn: int, setting
             log.stop(f"{settings.searches} searches did not suffice")
 
 
-def _noted_plan(log: Log, tree: Tree, seconds: float, keep_trees: bool) -> Plan:
+def _noted_plan(
+    log: Log, planner: Rrt, found: tuple[Problem, Tree], seconds: float, keep_trees: bool
+) -> Plan:
+    begun = time.perf_counter()
+    problem, tree = found
     plan = plan_of(tree)
-    log.plan_s += seconds
+    before = len(plan.actions)
+    tree, plan = shortened(planner, problem, tree, plan)
+    log.plan_s += seconds + time.perf_counter() - begun
     log.extensions += plan.extensions
     log.plans.append(record_plan(tree, plan, len(log.actions), whole=keep_trees))
     ends = f"{100 * plan.goal_distance:.1f} cm from the goal"
-    log.note("plan", f"{plan.status}, {ends}; {plan.accepted} of {plan.extensions} extensions accepted")
+    text = f"{plan.status}, {ends}; {plan.accepted} of {plan.extensions} extensions accepted"
+    if len(plan.actions) < before:
+        text += f"; shortcuts left {len(plan.actions)} of {before} actions"
+    log.note("plan", text)
     return plan
 
 

@@ -42,12 +42,15 @@ class RrtSettings:
     random_accept: float = 0.0  # probability that a rejected extension is accepted nevertheless
     stuck_after: int = 32  # attempts without a single success after which the start counts as stuck
     goal_margin: float = 0.6  # of the goal's tolerance: a plan is to end so near, because execution errs
+    shortcuts: int = 2  # rounds of as many shortcuts as lanes, tried on a plan that reaches the goal
 
     def __post_init__(self):
         """Refuse what plans nothing."""
         for name in ("lanes", "extensions", "duration", "candidates", "stuck_after"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected at least 1")
+        if self.shortcuts < 0:
+            raise ValueError(f"shortcuts is {self.shortcuts}, expected 0 or more")
         for name in ("goal_bias", "random_accept", "goal_margin"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to 1")

@@ -66,10 +66,10 @@ def default_scene() -> Scene:
         ),
         grippers=(hold(link=0, end=-1), hold(link=LINKS - 1, end=1)),
         obstacles=(table, *boxes, *hooks),
-        timestep=0.005,
-        substeps=180,
+        timestep=0.006,
+        substeps=150,
         viscosity=0.15,  # else the rope still swings at the end of a period, 8 mm RMS in the next
-        solver=SolverSettings(algorithm="cg", iterations=10, contact_time=0.01),
+        solver=SolverSettings(algorithm="cg", iterations=10, contact_time=0.012),
     )
 
 

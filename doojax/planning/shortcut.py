@@ -1,0 +1,144 @@
+"""Shorter plans by shortcuts through a plan, every step of them judged anew (thesis section 2.3.5).
+
+A shortcut takes the grippers straight from where they are at one state of the plan to where they are at a
+later one, in fewer actions, and then goes on as the plan does. The rope lies elsewhere after it, so all that
+follows is predicted and judged again, by the same dynamics and the same constraint as in the search.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from doojax.models.protocols import Reliability
+from doojax.planning.goals import bodies_of
+from doojax.planning.rrt import Rrt, propagate
+from doojax.planning.tree import Plan, Problem, Tree
+from doojax.tasks.base import Task
+from doojax.types import RopeState
+
+
+def shortened(planner: Rrt, problem: Problem, tree: Tree, plan: Plan) -> tuple[Tree, Plan]:
+    """A plan of fewer actions, if one is found, and the tree with its new nodes after the others.
+
+    ``planner.settings.shortcuts`` times as many shortcuts as the planner has lanes are tried side by side,
+    and the one that reaches the goal by the fewest actions is kept. No step is let pass by luck.
+
+    Args:
+        planner: that of the search.
+        problem: one.
+        tree: its tree, on the host.
+        plan: the tree's; returned as it is unless it solves the problem.
+    """
+    if plan.status != "solved":
+        return tree, plan
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(problem.key)))
+    for _ in range(planner.settings.shortcuts):
+        if len(plan.actions) < 2:
+            break
+        tree, plan = _round(planner, problem, tree, plan, rng)
+    return tree, plan
+
+
+def _round(
+    planner: Rrt, problem: Problem, tree: Tree, plan: Plan, rng: np.random.Generator
+) -> tuple[Tree, Plan]:
+    lanes, length = planner.settings.lanes, len(plan.actions)
+    leave = rng.integers(0, length - 1, lanes)
+    arrive = rng.integers(leave + 2, length + 1)
+    moves = rng.integers(0, arrive - leave)
+    sequences = [_sequence(plan, *choice) for choice in np.stack([leave, arrive, moves], 1).tolist()]
+    ends = np.array([len(sequence) for sequence in sequences])
+    actions = np.zeros((ends.max(), lanes, *plan.actions.shape[1:]), np.float32)
+    for lane, sequence in enumerate(sequences):
+        actions[: len(sequence), lane] = sequence
+
+    obstacles = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], problem.obstacles)
+    near = planner.settings.goal_margin * problem.goal.tolerance
+    states = jax.tree.map(lambda leaf: jnp.asarray(leaf[plan.nodes[leave]]), tree.state)
+    going, steps = np.ones(lanes, dtype=bool), []
+    best: tuple[int, float, int, int] | None = None  # actions, metres from the goal, lane, steps of the lane
+    for step, action in enumerate(actions):
+        before = jax.tree.map(lambda leaf: leaf[None], states)
+        after, uncertainty = propagate(planner.dynamics, obstacles, before, jnp.asarray(action)[None])
+        after, uncertainty = jax.tree.map(lambda leaf: leaf[0], (after, uncertainty))
+        judged = _judge(
+            planner.task, planner.reliability, problem, states, jnp.asarray(action), after, uncertainty, near
+        )
+        score, fine, distance, there = (np.asarray(values) for values in judged)
+        going &= fine & (step < ends)
+        steps.append((after, score, distance))
+        for lane in np.flatnonzero(going & there):
+            found = (int(leave[lane]) + step + 1, float(distance[lane]), int(lane), step + 1)
+            best = found if best is None else min(best, found)
+        going &= ~there
+        if not going.any():
+            break
+        states = after
+    if best is None or best[0] >= length:
+        return tree, plan
+    _, _, lane, count = best
+    return _grafted(tree, plan, int(leave[lane]), actions[:count, lane], lane, steps[:count])
+
+
+def _sequence(plan: Plan, leave: int, arrive: int, moves: int) -> Float[np.ndarray, "t G 3"]:
+    """The actions of a shortcut, and what the plan does after it."""
+    grippers = np.asarray(plan.states.grippers)
+    straight = (grippers[arrive] - grippers[leave]) / max(moves, 1)
+    return np.concatenate([np.repeat(straight[None], moves, axis=0), plan.actions[arrive:]])
+
+
+@eqx.filter_jit
+def _judge(
+    task: Task,
+    reliability: Reliability,
+    problem: Problem,
+    before: RopeState,
+    actions: Float[Array, "L G 3"],
+    after: RopeState,
+    uncertainty: Float[Array, "L"],
+    near: Float[Array, ""],
+) -> tuple[Float[Array, "L"], Bool[Array, "L"], Float[Array, "L"], Bool[Array, "L"]]:
+    """Of each step: its score, may it be in a plan, the metres to the goal after it, is that near enough."""
+    score = jax.vmap(reliability, (None, 0, 0, 0, 0))(problem.obstacles, before, actions, after, uncertainty)
+    allowed = jax.vmap(lambda state, action: task.valid_action(state, action, "constrained"))(before, actions)
+    sound = jnp.isfinite(bodies_of(after)).all((-1, -2))
+    distance = jax.vmap(problem.goal.distance)(after)
+    return score, sound & allowed & (score > reliability.threshold), distance, distance <= near
+
+
+def _grafted(
+    tree: Tree,
+    plan: Plan,
+    leave: int,
+    actions: Float[np.ndarray, "t G 3"],
+    lane: int,
+    steps: list[tuple[RopeState, np.ndarray, np.ndarray]],
+) -> tuple[Tree, Plan]:
+    """The tree with the steps of one lane behind the plan's node number ``leave``."""
+    used, count = int(tree.used), len(actions)
+    fresh = np.arange(used, used + count)
+    added = Tree(
+        state=jax.tree.map(
+            lambda *leaves: jnp.stack([leaf[lane] for leaf in leaves]), *(s for s, _, _ in steps)
+        ),
+        action=jnp.asarray(actions),
+        parent=jnp.asarray([plan.nodes[leave], *fresh[:-1]], dtype=jnp.int32),
+        accepted=jnp.ones(count, dtype=bool),
+        score=jnp.asarray([score[lane] for _, score, _ in steps]),
+        goal_distance=jnp.asarray([distance[lane] for _, _, distance in steps]),
+        used=jnp.asarray(used + count, dtype=jnp.int32),
+        solved=jnp.asarray(tree.solved),
+        stuck=jnp.asarray(tree.stuck),
+    )
+    grown = jax.tree.map(
+        lambda old, new: np.concatenate([old[:used], new]) if new.ndim else np.asarray(new), tree, added
+    )
+    nodes = np.concatenate([plan.nodes[: leave + 1], fresh])
+    return grown, plan._replace(
+        nodes=nodes,
+        actions=grown.action[nodes[1:]],
+        states=jax.tree.map(lambda leaf: leaf[nodes], grown.state),
+        goal_distance=float(grown.goal_distance[-1]),
+    )
