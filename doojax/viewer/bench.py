@@ -1,19 +1,23 @@
 """How soon the page opens, how fast it follows a key, how smoothly a large tree turns.
 
 All is seen from inside a headless Chromium on this machine, in a page of 1280 x 800 pixels that software
-draws: a graphics card draws the same faster. The contents are made up (`doojax.viewer.examples`).
+draws: a graphics card draws the same faster. What an almost empty page takes is measured beside it, because
+no content can be faster than that. The contents are made up (`doojax.viewer.examples`).
 """
 
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from doojax.benchmarks.signature import median_with_interval
 from doojax.experiments.records import save_record
 from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.viewer import colours
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
 from doojax.viewer.examples import trial_record, write_dataset
@@ -27,15 +31,18 @@ SEED = 2
 TRAJECTORIES = 10_000
 NODES = 20_000
 OPENINGS = 7
-CHANGES = 60
+CHANGES = 40
 SECONDS = 8.0  # for which the tree is turned
 SOFTWARE = {"renderer": "software", "page": "1280x800"}
 
 # Keeps what was drawn readable, and notes the frames in which a large tree was drawn.
 WATCH = """
+let gl = null;
 const getContext = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function(kind, options) {
-  return getContext.call(this, kind, {...options, preserveDrawingBuffer: true});
+  const context = getContext.call(this, kind, {...options, preserveDrawingBuffer: true});
+  if (kind === "webgl2") gl = context;
+  return context;
 };
 const draw = WebGL2RenderingContext.prototype.drawElementsInstanced;
 window.treeFrames = new Set();
@@ -43,47 +50,67 @@ WebGL2RenderingContext.prototype.drawElementsInstanced = function(mode, count, t
   if (instances > 10000) window.treeFrames.add(document.timeline.currentTime);
   return draw.call(this, mode, count, type, offset, instances);
 };
-const small = new OffscreenCanvas(640, 400).getContext("2d", {willReadFrequently: true});
+let pixels = new Uint32Array(0);
 window.picture = () => {
-  const all = [...document.querySelectorAll("canvas")];
-  small.drawImage(all.reduce((a, b) => a.width * a.height > b.width * b.height ? a : b), 0, 0, 640, 400);
+  const width = gl.drawingBufferWidth, height = gl.drawingBufferHeight;
+  if (pixels.length !== width * height) pixels = new Uint32Array(width * height);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(pixels.buffer));
+  const time = performance.now();  // all that was asked for has been drawn by now
   let hash = 0;
-  for (const pixel of new Uint32Array(small.getImageData(0, 0, 640, 400).data.buffer))
-    hash = (Math.imul(hash, 31) + pixel) | 0;
-  return hash;
+  for (const pixel of pixels) hash = (Math.imul(hash, 31) + pixel) | 0;
+  return {hash, time};
 };
-window.nextFrame = () => new Promise(requestAnimationFrame);
+const frame = () => new Promise(requestAnimationFrame);
+// What runs in a frame, React's part of it included, has run.
+window.afterFrame = () => frame().then(() => new Promise(done => {
+  const channel = new MessageChannel();
+  channel.port1.onmessage = done;
+  channel.port2.postMessage(null);
+}));
+window.patience = 20000;  // ms
 window.changed = async before => {
   const start = performance.now();
-  while (window.picture() === before) {
-    if (performance.now() - start > 20000) throw new Error("the picture stayed the same for 20 s");
-    await window.nextFrame();
+  for (;;) {
+    const {hash, time} = window.picture();
+    if (hash !== before) return time;
+    if (time - start > window.patience) throw new Error("the picture stayed the same");
+    await window.afterFrame();
   }
-  return performance.now();
 };
 window.settled = async () => {
   const start = performance.now();
-  for (let last = "", same = 0; same < 6; await window.nextFrame()) {
-    if (performance.now() - start > 20000) throw new Error("the picture kept changing for 20 s");
-    const now = window.picture();
-    same = now === last ? same + 1 : 0;
-    last = now;
+  for (let last = null, same = 0; same < 6; await new Promise(done => setTimeout(done, 70))) {
+    const {hash, time} = window.picture();
+    if (time - start > window.patience) throw new Error("the picture kept changing");
+    same = hash === last ? same + 1 : 0;
+    last = hash;
   }
 };
+window.version = node => {
+  const found = window.__viserMutable.nodeRefFromName[node]?.children[0];
+  return found?.geometry.attributes.position.version;
+};
 """
-# Presses the key that steps by one state, and waits until the picture is another. Milliseconds.
-CHANGE = """async letter => {
+# Presses the key that steps by one state. Returns the milliseconds until the rope's new vertices have arrived
+# and are those of its mesh in the page, and until the picture is another.
+CHANGE = """async ([letter, node]) => {
   await window.settled();
   const key = {key: letter.toLowerCase(), code: "Key" + letter, bubbles: true};
-  const before = window.picture(), start = performance.now();
+  const before = window.picture().hash, old = window.version(node), start = performance.now();
   document.body.dispatchEvent(new KeyboardEvent("keydown", key));
   document.body.dispatchEvent(new KeyboardEvent("keyup", key));
-  return await window.changed(before) - start;
+  while (window.version(node) === old) {
+    if (performance.now() - start > window.patience) throw new Error("no new vertices came");
+    await window.afterFrame();
+  }
+  const arrival = performance.now();
+  await window.afterFrame();
+  return [arrival - start, await window.changed(before) - start];
 }"""
 # Waits for what comes next. Seconds, of the clock that Python reads too.
 NEXT = """async () => {
   await window.settled();
-  window.next = window.changed(window.picture()).then(end => (performance.timeOrigin + end) / 1000);
+  window.next = window.changed(window.picture().hash).then(end => (performance.timeOrigin + end) / 1000);
 }"""
 
 
@@ -91,8 +118,10 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
     """Measure the page of `doojax view` in a headless Chromium; write results/viewer.
 
     open_s: from the opening of a data set by the server until its first rope is drawn in a page that was
-    open before. frame_ms: from the key that steps in time until another picture is drawn in the page.
-    tree_fps: frames a second that were drawn while the mouse turned the view of a search tree.
+    open before. frame_ms: from the key that steps in time until the rope's new vertices are in the page
+    (arrival) and until another picture is drawn there (pixels); and the latter in a page that shows nothing
+    but a short rope (floor), which is what viser and the browser take. tree_fps: frames a second that were
+    drawn while the mouse turned the view of a search tree.
 
     Args:
         json: print the rows as JSON instead of a table.
@@ -109,8 +138,9 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
             save_record(folder / "trial.npz", trial_record(seed=SEED, nodes=NODES))
             app = App(server, folder / "towed")
             page = open_page(browser, server.get_port(), script=WATCH)
-            rows = [changing(page)]
+            rows = changing(page)
             app.close()
+            rows.append(changing_least(server, page))
             rows += [opening(server, page, folder / "towed"), turning(server, page, folder / "trial.npz")]
     finally:
         server.stop()
@@ -118,11 +148,38 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
     show(rows, json)
 
 
-def changing(page: "Page") -> Row:
+def changing(page: "Page") -> list[Row]:
     """Step to and fro in time, in a page that shows a data set."""
-    keys = ["L" if step // 25 % 2 == 0 else "J" for step in range(CHANGES)]
-    found = np.array([page.evaluate(CHANGE, key) for key in keys])
-    return median_row("frame_ms", {"trajectories": TRAJECTORIES}, found, "ms")
+    found = stepped(page, "/shown0/now/rope")
+    tags = {"trajectories": TRAJECTORIES}
+    return [
+        median_row("frame_ms", {**tags, "part": part}, times, "ms")
+        for part, times in zip(("arrival", "pixels"), found.T, strict=True)
+    ]
+
+
+def changing_least(server: Server, page: "Page") -> Row:
+    """The same in a page that shows nothing but a rope of two points."""
+    viewed = Viewed(server)
+    page.get_by_text("Read again").wait_for(state="hidden")
+    rope, colour = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]), colours.ROPE
+    viewed.look_at(np.concatenate([rope - 0.1, rope + 0.1]).astype(np.float32), from_above=False)
+
+    def move(step: float) -> None:
+        rope[:, 2] += step
+        viewed.drawing.rope("least", rope, radius=0.01, colour=colour)
+
+    viewed.key("Up", "L", lambda: move(0.001))
+    viewed.key("Down", "J", lambda: move(-0.001))
+    viewed.call(lambda: move(0.0))
+    page.wait_for_function("window.__viserMutable.nodeRefFromName['/least']")
+    return median_row("frame_ms", {"part": "floor"}, stepped(page, "/least")[:, 1], "ms")
+
+
+def stepped(page: "Page", node: str) -> Float[np.ndarray, "k 2"]:
+    """Milliseconds from each of many keys to a node's new vertices, and to the new picture."""
+    letters = ["L" if step // 20 % 2 == 0 else "J" for step in range(CHANGES)]
+    return np.array([page.evaluate(CHANGE, [letter, node]) for letter in letters])
 
 
 def opening(server: Server, page: "Page", path: Path) -> Row:
@@ -159,7 +216,7 @@ def turning(server: Server, page: "Page", path: Path) -> Row:
     return row("tree_fps", {"nodes": NODES, **SOFTWARE}, rate, "1/s", n=len(frames))
 
 
-def median_row(metric: str, tags: dict[str, int], found: np.ndarray, unit: str) -> Row:
+def median_row(metric: str, tags: Mapping[str, int | str], found: np.ndarray, unit: str) -> Row:
     """The median of some measurements."""
     median, low, high = median_with_interval(found)
     return row(metric, {**tags, **SOFTWARE}, median, unit, low, high, len(found))

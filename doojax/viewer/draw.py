@@ -18,7 +18,7 @@ Colours = Colour | UInt8[np.ndarray, "K 3"]
 class SceneDrawing:
     """Implements `doojax.experiments.drawing.Drawing` below one node of a viser scene.
 
-    A rope or ball drawn again at another place sends its new vertices or positions, nothing else.
+    Ropes, balls and lines drawn again at another place send their new vertices or positions, nothing else.
     """
 
     def __init__(self, scene: viser.SceneApi, root: str = ""):
@@ -115,15 +115,17 @@ class SceneDrawing:
         segments = np.asarray(segments, dtype=np.float32)
         each = np.broadcast_to(np.asarray(colours, dtype=np.uint8), (len(segments), 3))
         known = np.isfinite(segments).all((1, 2))
-        segments, each = segments[known], np.repeat(each[known][:, None], 2, axis=1)
+        segments, each = segments[known], np.repeat(linear(each[known])[:, None], 2, axis=1)
         if not len(segments):
             self.remove(name)
-            return
-        self._stays(name, ())
-        handle = self._scene.add_line_segments(
-            self._path(name), segments, linear(each), thickness=width, thickness_units="screen"
-        )
-        self._keep(name, handle)
+        elif self._stays(name, ("lines", width)):
+            self._handles[name].points = segments
+            self._handles[name].colors = each
+        else:
+            handle = self._scene.add_line_segments(
+                self._path(name), segments, each, thickness=width, thickness_units="screen"
+            )
+            self._keep(name, handle)
 
     def cones(
         self, name: str, segments: Float[np.ndarray, "K 2 3"], *, radius: float, colours: Colours

@@ -25,8 +25,23 @@ AMBIENT, SUN = 1.2, 2.2  # of viser's lights
 TOWARDS_SUN = (-0.6, -1.0, 2.2)
 
 
+USUAL = 880, 800  # pixels of the scene in a page of 1280 x 800, beside the controls
+NEAR = 1e-3  # m
+
+
 class Server(viser.ViserServer):
-    """A viser server that never opens a tunnel to the internet."""
+    """A viser server that never opens a tunnel to the internet.
+
+    Attributes:
+        on_resize: called for everybody who comes, and when the size of somebody's scene changes.
+    """
+
+    on_resize: Callable[[viser.ClientHandle], None] | None = None
+
+    def resized(self, client: viser.ClientHandle) -> None:
+        """Somebody has come, or moved the camera, or has another size now."""
+        if self.on_resize is not None:
+            self.on_resize(client)
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refused: data are shown only on the address that the server is bound to."""
@@ -53,7 +68,14 @@ def start_server(host: str, port: int) -> Server:
             problem = f"cannot serve on {host}, port {port}: {error.strerror}"
             raise OSError(f"{problem}; choose another with --host or --port") from error
     with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
-        return Server(host=host, port=port, label="doojax", verbose=False)
+        server = Server(host=host, port=port, label="doojax", verbose=False)
+
+    def come(client: viser.ClientHandle) -> None:
+        server.resized(client)
+        client.camera.on_update(lambda _: server.resized(client))
+
+    server.on_client_connect(come)
+    return server
 
 
 class Page:
@@ -65,14 +87,19 @@ class Page:
         drawing: the world's scene.
     """
 
-    def __init__(self, server: viser.ViserServer):
+    def __init__(self, server: Server):
         """An empty page."""
         self.server = server
         self.lock = threading.RLock()
         self.drawing = SceneDrawing(server.scene)
         self._console = Console(stderr=True, soft_wrap=True)
-        self._camera: tuple[np.ndarray, np.ndarray] | None = None
+        self._seen: tuple[np.ndarray, np.ndarray] | None = None  # corners, and where they are seen from
+        self._fitted: dict[
+            int, tuple[tuple[int, int], np.ndarray]
+        ] = {}  # client: size, where its camera was put
+        self._eyes: list[np.ndarray] = []  # where any camera was put
         self.clear()
+        server.on_resize = self._refit
         server.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="large", brand_color=colours.CHOSEN
         )
@@ -138,37 +165,78 @@ class Page:
         """Floor (height, m), axes and camera for something that reaches around all of some points."""
         low, high = corners.min(0), corners.max(0)
         height = float(low[2]) if floor is None else floor
-        size, middle = np.ceil((high - low)[:2] + 1), ((low + high) / 2)[:2]
-        scene = self.server.scene
-        scene.add_grid(
-            "/floor",
-            width=float(size[0]),
-            height=float(size[1]),
-            cell_size=0.1,
-            section_size=0.5,
-            cell_color=(226, 229, 234),
-            section_color=(203, 208, 216),
-            plane_color=colours.FLOOR,
-            plane_opacity=1.0,
-            position=(float(middle[0]), float(middle[1]), height - 0.001),
-        )
+        # not viser's grid, whose every pixel a shader computes: in software that doubles a picture's time
+        fine, coarse = floor_lines(low, high, height - 0.001)
+        self.drawing.lines("floor/fine", fine, width=1.0, colours=(226, 229, 234))
+        self.drawing.lines("floor/coarse", coarse, width=1.5, colours=(203, 208, 216))
         corner = np.array([*(low[:2] - 0.15), height])
         self.drawing.axes("axes", corner, np.array([1.0, 0.0, 0.0, 0.0]), length=0.15)
         self.look_at(np.append(corners, corner[None], axis=0), from_above)
 
     def look_at(self, corners: Float[np.ndarray, "K 3"], from_above: bool) -> None:
         """Have everybody see all of some points, and those who come later too."""
-        # for a page of 1280 x 800, beside the controls
-        camera = camera_from(STEEP if from_above else FROM_SIDE, corners, 880, 800, margin=1.12)
-        middle = (corners.min(0) + corners.max(0)) / 2
-        ahead = camera.axes[2] * float(np.linalg.norm(middle - camera.eye))
-        self._camera = camera.eye.astype(float), (camera.eye + ahead).astype(float)
-        self.server.initial_camera.position = self._camera[0]
-        self.server.initial_camera.look_at = self._camera[1]
+        self._seen = corners, STEEP if from_above else FROM_SIDE
+        eye, target = self.view(*USUAL)
+        self._eyes = [eye]
+        self.server.initial_camera.position, self.server.initial_camera.look_at = eye, target
         self.fit_view()
 
+    def view(self, width: int, height: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Where a camera has to be, and look, to see everything in a scene of so many pixels.
+
+        Raises ValueError before `look_at` has said what there is to see.
+        """
+        if self._seen is None:
+            raise ValueError("there is nothing to look at yet: call look_at first")
+        corners, direction = self._seen
+        camera = camera_from(direction, corners, width, height, margin=1.12)
+        middle = (corners.min(0) + corners.max(0)) / 2
+        ahead = camera.axes[2] * float(np.linalg.norm(middle - camera.eye))
+        return camera.eye.astype(float), (camera.eye + ahead).astype(float)
+
     def fit_view(self) -> None:
-        """Turn everybody's camera back to where `look_at` put it."""
-        if self._camera is not None:
-            for client in self.server.get_clients().values():
-                client.camera.position, client.camera.look_at = self._camera
+        """Turn everybody's camera back to where it shows everything."""
+        for client in self.server.get_clients().values():
+            self._fit(client)
+
+    def _fit(self, client: viser.ClientHandle) -> None:
+        size = client.camera.image_width, client.camera.image_height
+        if self._seen is None or min(size) < 1:
+            return
+        eye, target = self.view(*size)
+        self._fitted[client.client_id] = size, eye
+        self._eyes.append(eye)
+        client.camera.position, client.camera.look_at = eye, target
+
+    def _refit(self, client: viser.ClientHandle) -> None:
+        """Show everything to somebody whose scene has another size, unless the view was turned by hand."""
+        with self.lock:
+            eye = client.camera.position
+            size, put = self._fitted.get(client.client_id, (None, None))
+            same = size == (client.camera.image_width, client.camera.image_height)
+            if put is None or (
+                not (same and near(eye, put)) and any(near(eye, other) for other in self._eyes)
+            ):
+                self._fit(client)
+
+
+def near(place: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> bool:
+    """Are two places of a camera the same, but for rounding?"""
+    return bool(np.linalg.norm(place - other) < NEAR)
+
+
+def floor_lines(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], height: float
+) -> tuple[Float[np.ndarray, "K 2 3"], Float[np.ndarray, "L 2 3"]]:
+    """The lines of a floor that reaches half a metre around everything: each 10 cm, and each 50 cm."""
+    first, last = np.floor(2 * low[:2] - 1).astype(int) * 5, np.ceil(2 * high[:2] + 1).astype(int) * 5
+    lines, whole = [], []
+    for axis in (0, 1):
+        at = np.arange(first[axis], last[axis] + 1)
+        ends = np.empty((len(at), 2, 3))
+        ends[..., axis], ends[..., 2] = at[:, None] / 10, height
+        ends[:, 0, 1 - axis], ends[:, 1, 1 - axis] = first[1 - axis] / 10, last[1 - axis] / 10
+        lines.append(ends)
+        whole.append(at % 5 == 0)
+    every, coarse = np.concatenate(lines), np.concatenate(whole)
+    return every[~coarse], every[coarse]

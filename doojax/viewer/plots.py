@@ -6,12 +6,15 @@ import numpy as np
 import viser
 import viser.uplot
 from jaxtyping import Float
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from doojax.experiments.drawing import Colour
 from doojax.viewer import colours
 
 HEIGHT, PADDING = 150, (10, 14, 0, 0)  # pixels
 BINS = 24
+MOST_TICKS = 5
+WHOLE = tuple(float(digit * 10**power) for power in range(6) for digit in (1, 2, 5))
 LINES: tuple[Colour, ...] = (colours.ROPE, colours.CHOSEN, colours.GOAL, colours.PREDICTION)
 
 
@@ -46,6 +49,7 @@ class TimePlot:
         self._marked = -1
         if self._handle is not None and self._names == tuple(lines):
             self._handle.scales = self._scales()
+            self._handle.axes = ({}, axis(*self._bounds))
             self._handle.data = self._with_mark(-1)
             return
         self._drop()
@@ -58,6 +62,7 @@ class TimePlot:
                 (viser.uplot.Series(label="state"), *series, now),
                 title=self._title,
                 scales=self._scales(),
+                axes=({}, axis(*self._bounds)),
                 height=HEIGHT,
                 legend={"show": len(lines) > 1, "live": False},
                 padding=PADDING,
@@ -96,18 +101,55 @@ class TimePlot:
 def add_epoch_plot(gui: viser.GuiApi, title: str, curves: Mapping[str, Float[np.ndarray, "E"]]) -> None:
     """A plot of curves with one value an epoch, of logarithmic height where all values are positive."""
     lines = [np.asarray(values, dtype=float) for values in curves.values()]
+    known = np.concatenate([line[np.isfinite(line)] for line in lines])
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    logarithmic = low > 0
+    room = 0.05 * (high - low) or 0.5
+    low, high = (0.9 * low, 1.1 * high) if logarithmic else (low - room, high + room)
     gui.add_uplot(
         (np.arange(len(lines[0]), dtype=float) + 1, *lines),
         (viser.uplot.Series(label="epoch"), *(_line(name, index) for index, name in enumerate(curves))),
         title=title,
         scales={
             "x": viser.uplot.Scale(time=False),
-            "y": viser.uplot.Scale(distr=3 if min(line.min() for line in lines) > 0 else 1),
+            "y": viser.uplot.Scale(distr=3 if logarithmic else 1, range=(low, high)),
         },
+        axes=({"incrs": WHOLE}, axis(low, high, logarithmic)),
         height=HEIGHT,
         legend={"show": len(lines) > 1, "live": False},
         padding=PADDING,
     )
+
+
+def axis(low: float, high: float, logarithmic: bool = False) -> viser.uplot.Axis:
+    """Some round numbers from ``low`` to ``high``, written so that each can be told from the next.
+
+    The page itself would round to three decimals, and write 0 for 0.0001.
+    """
+    locators = [LogLocator(), LogLocator(subs=(1, 2, 5))] if logarithmic else []
+    places = np.zeros(0)
+    for locator in [*locators, MaxNLocator(nbins=5, steps=[1, 2, 5, 10])]:
+        places = np.asarray(locator.tick_values(low, high))
+        places = places[(low <= places) & (places <= high)]
+        if 1 < len(places) <= MOST_TICKS:
+            break
+    texts = written(places)
+    return viser.uplot.Axis(
+        splits=tuple(places.tolist()),
+        values=tuple(texts),
+        size=max(50, 22 + 7 * max(map(len, texts), default=0)),
+    )
+
+
+def written(places: Float[np.ndarray, "k"]) -> list[str]:
+    """Rising numbers with as few digits as tell what each is to a hundredth of the gaps between them."""
+    gap = float(np.diff(places).min(initial=np.inf))
+    texts: list[str] = []
+    for digits in range(1, 16):
+        texts = [f"{float(f'{place:.{digits}g}'):.15g}" for place in places]
+        if all(abs(float(text) - place) <= gap / 100 for text, place in zip(texts, places, strict=True)):
+            break
+    return texts
 
 
 class Histogram:
@@ -146,6 +188,8 @@ class Histogram:
                 tuple(series),
                 title=f"trajectories by {name}",
                 scales={"x": {"time": False}},
+                axes=({**axis(float(edges[0]), float(edges[-1])), "size": 50}, {}),
+                cursor={"drag": {"x": False, "y": False}},  # the numbers at the axis would not follow
                 height=HEIGHT,
                 legend={"show": False},
                 padding=PADDING,

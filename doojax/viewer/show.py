@@ -70,8 +70,9 @@ def show_trail(
     """Earlier ropes as thin lines, pale to dark, and the grippers' ways, up to a state."""
     chosen = np.unique(np.linspace(0, until, 9).astype(int))[:-1]
     chosen = chosen[np.isfinite(points[chosen]).all((1, 2))]
-    drawing.remove(f"{name}/ropes")
-    if len(chosen):
+    if not len(chosen):
+        drawing.remove(f"{name}/ropes")
+    else:
         curves = [smooth(points[moment]) for moment in chosen]
         tint = colours.scale("time", 0.3 + 0.7 * chosen / max(len(points) - 1, 1))
         drawing.lines(
@@ -81,8 +82,9 @@ def show_trail(
             colours=np.repeat(tint, [len(curve) - 1 for curve in curves], axis=0),
         )
     ways = np.stack([grippers[:until], grippers[1 : until + 1]], axis=2).reshape(-1, 2, 3)
-    drawing.remove(f"{name}/grippers")
-    if len(ways):
+    if not len(ways):
+        drawing.remove(f"{name}/grippers")
+    else:
         drawing.lines(f"{name}/grippers", ways, width=1.5, colours=colours.GRIPPER)
 
 
@@ -103,9 +105,9 @@ def show_prediction(drawing: Drawing, record: PredictionRecord, prediction: int,
     points = between(record.predicted_points[prediction], horizon)
     hands = between(record.predicted_grippers[prediction], horizon)
     show_rope(drawing, "predicted", points, hands, look, colour=colours.PREDICTION, opacity=GHOST)
-    drawing.remove("predicted/errors")
-    drawing.remove("predicted/misses")
     if not np.isfinite(points).all() or moment > len(record.points) - 1:
+        drawing.remove("predicted/errors")
+        drawing.remove("predicted/misses")
         return
     error = np.linalg.norm(points - actual, axis=-1)
     tint = colours.scale("error", error / WORST_ERROR)
@@ -188,9 +190,10 @@ def show_execution(drawing: Drawing, record: TrialRecord, moment: float) -> None
     """
     points, grippers = between(record.points, moment), between(record.grippers, moment)
     show_rope(drawing, "now", points, grippers, record.look)
-    drawing.remove("executed")
     way = record.points[: int(moment) + 1, record.goal_point]
-    if len(way) > 1:
+    if len(way) < 2:
+        drawing.remove("executed")
+    else:
         tint = np.where(recovering(record)[: len(way) - 1, None], colours.RECOVERY, colours.EXECUTED)
         drawing.lines("executed", segments_of(way), width=4.0, colours=tint.astype(np.uint8))
     drawing.spheres("goal", record.goal[None], radius=record.goal_radius, colours=colours.GOAL, opacity=0.6)

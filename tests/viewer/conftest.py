@@ -15,10 +15,11 @@ from doojax.experiments.records import save_record
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
 from doojax.viewer.examples import prediction_record, trial_record, write_dataset
-from doojax.viewer.page import start_server
+from doojax.viewer.page import FIELD_OF_VIEW, start_server
 from doojax.viewer.raycast import Camera
 
 SIZE = {"width": 1000, "height": 640}
+View = Callable[[int, int], tuple[np.ndarray, np.ndarray]]
 PATIENCE = 40  # s: what is waited for comes within one on an idle machine
 TRAJECTORIES = 150
 
@@ -110,22 +111,35 @@ class Look:
         left, top, width, height = (round(value) for value in canvas)
         return np.asarray(picture)[top : top + height, left : left + width].astype(int)
 
-    def colour_at(self, camera: Camera, place: np.ndarray) -> np.ndarray:
-        """The colour seen at a place in the world."""
+    def colour_at(self, view: View, place: np.ndarray) -> np.ndarray:
+        """The colour seen at a place in the world by a camera that is where `doojax.viewer.page` puts it."""
         pixels = self.pixels()
         height, width = pixels.shape[:2]
-        view = Camera(camera.eye, camera.axes, width, height, None, camera.tangent)
-        column, row, _ = view.project(np.asarray(place, np.float32))
+        column, row = self.projected(view(width, height), width, height, place)
         return pixels[round(float(row)), round(float(column))]
+
+    @staticmethod
+    def projected(at: tuple[np.ndarray, np.ndarray], width: int, height: int, places: np.ndarray):
+        """Columns and rows of places in the world, by a camera's own place and target."""
+        looking = Camera.looking(*at, np.array([0.0, 0.0, 1.0]), width, height, None)
+        exact = Camera(looking.eye, looking.axes, width, height, None, float(np.tan(FIELD_OF_VIEW / 2)))
+        return exact.project(np.asarray(places, np.float32))[:2]
+
+    def ticks(self) -> list[tuple[list[float], list[str]]]:
+        """Where the numbers at the upright axes of all plots stand, and how they are written."""
+        return self.page.evaluate(
+            "Object.values(window.__viserTestpoints.uplots ?? {}).map(plot => "
+            "[plot.chart.axes[1]._splits, plot.chart.axes[1]._values])"
+        )
 
 
 @pytest.fixture(scope="package")
-def new_look(browser, server) -> Iterator[Callable[[], Look]]:
+def new_look(browser, server) -> Iterator[Callable[..., Look]]:
     """Opens another page on the server."""
     pages = []
 
-    def make() -> Look:
-        page = open_page(browser, server.get_port(), **SIZE)
+    def make(**size: int) -> Look:
+        page = open_page(browser, server.get_port(), **SIZE | size)
         pages.append(page)
         return Look(page)
 

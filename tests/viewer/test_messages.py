@@ -9,6 +9,7 @@ from doojax.datasets import Dataset
 from doojax.datasets.files import chunk_file
 from doojax.learning.runs import RunDirectory
 from doojax.viewer.examples import write_dataset
+from doojax.viewer.plots import axis
 
 STATES = 6
 
@@ -137,3 +138,34 @@ def test_a_training_run_shows_its_curves_and_that_it_goes_on(view, tmp_path):
     look.page.get_by_role("button", name="Read again").click()
     look.until(lambda: look.page.get_by_text("unfinished").count() == 0)
     look.wait_for("training run, 3 epochs")
+
+
+def test_numbers_at_a_plot_tell_small_values_apart(view, tmp_path):
+    run = RunDirectory.open(tmp_path / "run", {"task": "rope_dragging"})
+    for epoch in range(1, 4):
+        run.log({"epoch": epoch, "loss": [0.0004 / epoch], "gain": [0.00031 - 0.0003 * epoch]})
+    look, _ = view(tmp_path / "run")
+    look.wait_for("training run, 3 epochs")
+    look.until(lambda: len(look.ticks()) == 2)
+    for places, texts in look.ticks():
+        assert 2 <= len(set(texts)) == len(texts) <= 7
+        np.testing.assert_allclose([float(text) for text in texts], places, atol=1e-6)
+    logarithmic, linear = (texts for _, texts in look.ticks())
+    assert "0.0002" in logarithmic
+    assert "-0.0002" in linear and "0" in linear
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "logarithmic", "texts"),
+    [
+        (0.0, 4e-4, False, ("0", "0.0001", "0.0002", "0.0003", "0.0004")),
+        (-3.0, 130.0, False, ("0", "50", "100")),
+        (99.99, 100.01, False, ("99.99", "99.995", "100", "100.005", "100.01")),
+        (9e-8, 3e-5, True, ("1e-07", "1e-06", "1e-05")),
+        (0.09, 0.6, True, ("0.1", "0.2", "0.5")),
+    ],
+)
+def test_numbers_at_an_axis_are_round_and_short(low, high, logarithmic, texts):
+    found = axis(low, high, logarithmic)
+    assert found["values"] == texts
+    np.testing.assert_allclose(found["splits"], [float(text) for text in texts])
