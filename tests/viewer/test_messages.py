@@ -1,6 +1,11 @@
 """What the page and the terminal say of what cannot be shown; and that the page lives on."""
 
+import http.client
 import re
+import signal
+import socket
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -169,3 +174,39 @@ def test_numbers_at_an_axis_are_round_and_short(low, high, logarithmic, texts):
     found = axis(low, high, logarithmic)
     assert found["values"] == texts
     np.testing.assert_allclose(found["splits"], [float(text) for text in texts])
+
+
+@pytest.mark.parametrize(("host", "everybody"), [(None, False), ("0.0.0.0", True)])
+def test_only_this_machine_can_look_unless_told_otherwise(tmp_path, host, everybody):
+    command = [sys.executable, "-m", "doojax.cli", "view", str(tmp_path), "--port", "0"]
+    command += [] if host is None else ["--host", host]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            line = process.stdout.readline()
+            found = re.search(r"is shown at http://(127\.0\.0\.1|localhost):(\d+) \(Ctrl-C ends\)", line)
+            assert found, line
+            if everybody:
+                assert "everybody who can reach this machine can look" in process.stdout.readline()
+            with socket.socket() as other:
+                other.settimeout(10)
+                # 127.0.0.2 is another address of this machine
+                assert (other.connect_ex(("127.0.0.2", int(found[2]))) == 0) == everybody
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=30)
+
+
+@pytest.mark.parametrize(
+    "path", ["/../../../../../../../../etc/passwd", "/%2e%2e/%2e%2e/%2e%2e/etc/passwd", "data"]
+)
+def test_no_file_is_served(view, contents, path, server):
+    view(contents / "towed")
+    secret = contents / "towed" / "manifest.json"
+    path = str(secret) if path == "data" else path
+    connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=10)
+    connection.request("GET", path)
+    response = connection.getresponse()
+    body = response.read()
+    connection.close()
+    assert response.status >= 400 or body.lstrip().lower().startswith(b"<!doctype html")
+    assert b"root:" not in body and secret.read_bytes() not in body

@@ -114,6 +114,9 @@ def test_another_trajectory_and_several_side_by_side(towed):
     look.enter("Shown at once", 4)
     look.until(lambda: coloured(look.pixels(), "blue").sum() > one + 50)  # the colour of the second
     assert len(app._content._shown) == 4
+    look.choose("Arrangement", "overlaid")
+    second = dataset["points"][60][0]  # in its own place now
+    look.until(lambda: any(coloured(look.colour_at(app._page.view, point), "blue") for point in second[2:8]))
 
 
 def test_a_filter_lets_through_those_that_numpy_counts(towed):
