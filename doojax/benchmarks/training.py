@@ -153,7 +153,7 @@ def flax_epochs(problem: DynamicsProblem, config: FitConfig) -> Callable[[int], 
 
 
 def take_turns(runs: Mapping[str, Callable[[int], None]]) -> dict[str, np.ndarray]:
-    """Seconds of each run's epochs, one after the other in every round; the first, which compiles, not."""
+    """Seconds of each run's epochs, taking turns; without the first, which compiles."""
     for run in runs.values():
         run(1)
     seconds: dict[str, list[float]] = {name: [] for name in runs}

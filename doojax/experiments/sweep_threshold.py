@@ -28,6 +28,7 @@ def sweep_threshold(
     thresholds: tuple[float, ...] = (),
     seeds: int = 3,
     epochs: int = 3,
+    trajectories: int = 256,
     preset: PresetName = "quick",
     seed: int = 0,
     json: bool = False,
@@ -46,6 +47,7 @@ def sweep_threshold(
             1, 1.5 and 2 times the dynamics' own.
         seeds: classifiers for each threshold.
         epochs: of training.
+        trajectories: of the train and of the validation split, at most: few, as there are many classifiers.
         preset: quick or thesis, of the network and the labels.
         seed: of everything that is random.
         json: print the rows as JSON instead of a table.
@@ -57,7 +59,7 @@ def sweep_threshold(
     """
     with training_progress(Console(stderr=True), "sweep") as report:
         task, own, measured = sweep_thresholds(
-            data, out, dynamics, thresholds, seeds, preset, epochs, seed, report
+            data, out, dynamics, thresholds, seeds, preset, epochs, trajectories, seed, report
         )
     with (out / TABLE).open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(Measured)], lineterminator="\n")
@@ -67,7 +69,8 @@ def sweep_threshold(
     rows = sweep_rows(measured, {"task": task, "model": "classifier", "preset": preset}, own)
     command = f"doojax sweep-threshold --data {data} --dynamics {dynamics} --out {out}"
     command += f" --thresholds {' '.join(map(str, thresholds))}" if thresholds else ""
-    command += f" --seeds {seeds} --epochs {epochs} --preset {preset} --seed {seed}"
+    command += f" --seeds {seeds} --epochs {epochs} --trajectories {trajectories} --preset {preset}"
+    command += f" --seed {seed}"
     write_summary(summary / "summary.json", command=command, seed=seed, rows=rows)
     show(rows, json)
 

@@ -128,7 +128,7 @@ def start(problem: Problem, config: FitConfig, members: PyTree, *, key: Array) -
         weights=weights,
         moments=jax.vmap(optax.scale_by_adam().init)(weights),
         best=jax.tree.map(jnp.copy, weights),
-        best_loss=jnp.full(config.members, jnp.inf),
+        best_loss=jnp.full(config.members, jnp.inf, dtype=float),  # not weakly typed: compiled once
         stale=jnp.zeros(config.members, dtype=jnp.int32),
     )
     return state, static

@@ -47,6 +47,7 @@ def sweep_thresholds(
     seeds: int,
     preset: PresetName,
     epochs: int,
+    trajectories: int,
     seed: int,
     report: Report,
 ) -> tuple[str, float, list[Measured]]:
@@ -62,6 +63,7 @@ def sweep_thresholds(
         seeds: classifiers for each.
         preset: of the network and the labels.
         epochs: of training.
+        trajectories: of the train and of the validation split, at most; the test split is used whole.
         seed: of everything that is random.
         report: called after each epoch.
 
@@ -70,10 +72,11 @@ def sweep_thresholds(
 
     Raises:
         ValueError: as `doojax.learning.train.train_classifier`, and for thresholds that are not positive or
-            not different, or no seeds.
+            not different, no seeds or no trajectories.
     """
-    if seeds < 1:
-        raise ValueError(f"seeds is {seeds}, expected at least 1")
+    for name, count in (("seeds", seeds), ("trajectories", trajectories)):
+        if count < 1:
+            raise ValueError(f"{name} is {count}, expected at least 1")
     if len(set(thresholds)) < len(thresholds) or not all(threshold > 0 for threshold in thresholds):
         raise ValueError(f"thresholds are {list(thresholds)}, expected different positive lengths (m)")
     dataset, ensemble, task, own = judged_data(data, dynamics, None)
@@ -83,12 +86,15 @@ def sweep_thresholds(
     members = jnp.repeat(jnp.array(chosen), seeds)
     network = replace(network, fit=replace(network.fit, epochs=epochs, members=len(members)))
     parts = {split: load_split(dataset, split) for split in ("train", "validation", "test")}
+    for split in ("train", "validation"):
+        parts[split] = jax.tree.map(lambda leaf: leaf[:trajectories], parts[split])
     examples = {split: label(ensemble, part, labels) for split, part in parts.items()}
     for split, some in examples.items():
         for threshold in chosen:
             require_both_classes(some, threshold, split)
     files = {"data": data / MANIFEST, "dynamics": model_file(dynamics)}
-    settings = {"thresholds_m": chosen, "seeds": seeds, "labels": asdict(labels)}
+    settings = {"thresholds_m": chosen, "seeds": seeds, "trajectories": trajectories}
+    settings["labels"] = asdict(labels)
     run = open_run(out, "threshold_sweep", task.name, network, seed, files, **settings)
     problem = ClassifierProblem(
         examples["train"],

@@ -151,3 +151,17 @@ def test_a_rare_class_fills_half_of_every_batch():
 def test_settings_that_train_nothing(name):
     with pytest.raises(ValueError, match=f"{name} is 0, expected at least 1"):
         FitConfig(**{"epochs": 1, "batch_size": 1, name: 0})
+
+
+def test_epochs_after_the_first_compile_nothing(tmp_path):
+    traced = []
+
+    class Counted(LineProblem):
+        def validate(self, model, member):
+            traced.append(member)
+            return super().validate(model, member)
+
+    config = FitConfig(epochs=3, batch_size=16, members=2)
+    lines = Counted(jnp.linspace(-1.0, 1.0, 32), jnp.asarray(1.0))
+    fit(lines, config, seed=0, run=RunDirectory.open(tmp_path, {}), members=SCALES)
+    assert len(traced) == 1
