@@ -15,7 +15,7 @@ from rich.table import Table
 
 from doojax.experiments.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
 from doojax.experiments.reports import Row, row, write_summary, write_whole
-from doojax.experiments.scenes import load_scenes
+from doojax.experiments.scenes import load_scenes, rule
 from doojax.experiments.statistics import (
     Estimate,
     PairedTest,
@@ -56,7 +56,8 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
     out = out or folder / "comparison"
     out.mkdir(parents=True, exist_ok=True)
     task = str(config["task"])
-    sizes = load_scenes(folder / SCENES).sizes
+    scenes = load_scenes(folder / SCENES)
+    sizes, kind = scenes.sizes, "scenes where the rope is caught" if scenes.caught else "scenes"
     tables = {"methods": method_table(outcomes), "tests": pair_table(outcomes)}
     for name, lines in tables.items():
         _write_csv(out / f"{name}.csv", lines)
@@ -65,7 +66,9 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
     trials = len(outcomes[0].trials)
     text = "\n".join(
         [
-            f"# {task}: {len(outcomes)} methods on {trials} scenes",
+            f"# {task}: {len(outcomes)} methods on {trials} {kind}",
+            "",
+            f"Scenes: {rule(scenes)}.",
             "",
             *_markdown(tables["methods"]),
             "",
@@ -83,12 +86,12 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
         ]
     )
     write_whole(out / "comparison.md", text + "\n")
-    draw_success(out / "success.png", outcomes, f"{task.replace('_', ' ')}, {trials} scenes")
+    draw_success(out / "success.png", outcomes, f"{task.replace('_', ' ')}, {trials} {kind}")
     if summary is not None:
         command = f"doojax evaluate {task} --methods {' '.join(one.method for one in outcomes)}"
-        rows = summary_rows(task, outcomes)
+        rows = summary_rows({"task": task} | ({"start": "caught"} if scenes.caught else {}), outcomes)
         write_summary(summary, command=command, seed=int(config["seed"]), rows=rows)
-    show_briefly(outcomes, f"{task}: {trials} scenes")
+    show_briefly(outcomes, f"{task}: {trials} {kind}")
     Console(stderr=True).print(f"all tables and the figure are in {out}", highlight=False)
 
 
@@ -178,11 +181,11 @@ def trial_table(outcomes: Sequence[Outcomes], sizes: dict[str, np.ndarray]) -> l
     return lines
 
 
-def summary_rows(task: str, outcomes: Sequence[Outcomes]) -> list[Row]:
-    """The figures for a summary.json."""
+def summary_rows(about: dict[str, str], outcomes: Sequence[Outcomes]) -> list[Row]:
+    """The figures for a summary.json, tagged with ``about``."""
     rows = []
     for one in outcomes:
-        tags, n = {"task": task, "method": one.method}, len(one.trials)
+        tags, n = about | {"method": one.method}, len(one.trials)
         recoveries = bootstrap(one.counts["recovery_actions"].astype(float))
         total = Estimate(n * recoveries.value, n * recoveries.low, n * recoveries.high, n)
         figures = {
@@ -196,11 +199,10 @@ def summary_rows(task: str, outcomes: Sequence[Outcomes]) -> list[Row]:
         rows.append(row("evaluate_minutes", tags, one.minutes, "min", n=n))
         if one.method == ORACLE:
             e = success_rate(one.success)
-            scenes = {"task": task, "scenes": n}
-            rows.append(row("oracle_success", scenes, e.value, "", e.low, e.high, e.n))
+            rows.append(row("oracle_success", about | {"scenes": n}, e.value, "", e.low, e.high, e.n))
     for first, second in combinations(outcomes, 2):
         for name, test in TESTS.items():
-            tags = {"task": task, "test": name, "method": first.method, "against": second.method}
+            tags = about | {"test": name, "method": first.method, "against": second.method}
             rows.append(row("p_value", tags, test(first, second).p_value, "", n=len(first.trials)))
     return rows
 

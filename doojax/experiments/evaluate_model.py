@@ -158,9 +158,7 @@ def classifier_rows(
     rows.append(row("classifier_auroc", tags, auroc(scores[0], right[0]), "", n=n))
     if tags["model"] in UNLEARNED:
         return rows
-    rows.append(
-        row("classifier_ece", tags, expected_calibration_error(scores[0], right[0]), "", n=n)
-    )
+    rows.append(row("classifier_ece", tags, expected_calibration_error(scores[0], right[0]), "", n=n))
     all_scores, all_right = np.concatenate(scores), np.concatenate(right)
     numbers = np.concatenate([trajectory[0], trajectory[1] + trajectory[0].max() + 1])
     for alpha in ALPHAS:

@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from doojax.datasets.collect import random_trajectories
 from doojax.experiments.difficulty import difficulty
 from doojax.experiments.statistics import bootstrap
 from doojax.planning import Goal, point_goal
@@ -28,8 +29,11 @@ VERSION = 1  # raise it when scenes of the same seed become others
 FOLDER = Path(__file__).parent / "scene_sets"
 SCENES = 150
 DRAWN = 64  # scenes at once
-MOST_DRAWN = 40  # for each that is wanted
+MOST_DRAWN = 100  # for each that is wanted
 RULE = "an obstacle blocks the straight way of the goal's point, yet a way as wide as the rope leads there"
+CAUGHT = "; random actions led to the start, and an obstacle held back the last of them"
+RANDOM_ACTIONS = 12
+TOUCHING, HELD_BACK = 1e-3, 1e-2  # m
 STATE = ("qpos", "qvel", "obstacle_position", "obstacle_quaternion", "holding")
 GOAL = ("targets", "bodies", "tolerance")
 
@@ -43,26 +47,31 @@ class SceneSet:
     starts: SimState  # [S]
     goals: Goal  # [S]
     sizes: dict[str, np.ndarray]  # [S], metres: see `difficulty`
+    caught: bool = False  # does every scene start where an obstacle holds the rope or a gripper back?
 
     def __len__(self) -> int:
         """How many scenes there are."""
         return len(self.starts.qpos)
 
 
-def scenes(task: str, /, *, count: int = SCENES, seed: int = 0, out: Path | None = None) -> None:
+def scenes(
+    task: str, /, *, count: int = SCENES, seed: int = 0, caught: bool = False, out: Path | None = None
+) -> None:
     """Draw a set of scenes for trials, write it to a file and print how hard they are.
 
     Args:
         task: rope_dragging, dual_gripper or toy.
         count: how many scenes.
         seed: of everything that is random.
+        caught: start where random actions have led, and an obstacle holds the rope or a gripper back: scenes
+            in which recoveries are needed.
         out: the file, ending in .scenes; by default TASK.scenes in this folder.
 
     Raises:
         ValueError: for an unknown task, a count below 1, a file of another kind, or if hard scenes are rare.
     """
     out = out or Path(f"{task}.scenes")
-    drawn = draw_scenes(make_task(task), count, seed)
+    drawn = draw_scenes(make_task(task), count, seed, caught=caught)
     save_scenes(out, drawn)
     table = Table("metres", "mean", "95 % interval", "least", "greatest", title=f"{count} scenes of {task}")
     for name, values in drawn.sizes.items():
@@ -70,10 +79,15 @@ def scenes(task: str, /, *, count: int = SCENES, seed: int = 0, out: Path | None
         interval = f"{mean.low:.3f} to {mean.high:.3f}"
         table.add_row(name, f"{mean.value:.3f}", interval, f"{values.min():.3f}", f"{values.max():.3f}")
     Console().print(table)
-    Console(stderr=True).print(f"wrote {out}: {RULE}", highlight=False)
+    Console(stderr=True).print(f"wrote {out}: {rule(drawn)}", highlight=False)
 
 
-def draw_scenes(task: Task, count: int, seed: int) -> SceneSet:
+def rule(scenes: SceneSet) -> str:
+    """What all scenes of a set have in common."""
+    return RULE + CAUGHT * scenes.caught
+
+
+def draw_scenes(task: Task, count: int, seed: int, *, caught: bool = False) -> SceneSet:
     """The first ``count`` scenes, of a sequence that depends on the seed alone, that obey the rule.
 
     Raises:
@@ -82,24 +96,31 @@ def draw_scenes(task: Task, count: int, seed: int) -> SceneSet:
     if count < 1:
         raise ValueError(f"count is {count}, expected at least 1")
     simulator = task.simulator()
-    draw = jax.jit(jax.vmap(lambda key: _draw(task, simulator, key)))
+    reset = jax.jit(jax.vmap(simulator.reset))
+    aim = jax.jit(jax.vmap(task.sample_goal))
     parts: list[Any] = []
     found = drawn = 0
     while found < count:
         if drawn > MOST_DRAWN * count + 10 * DRAWN:
-            raise ValueError(f"only {found} of {drawn} scenes of {task.name} are hard enough: {RULE}")
+            wanted = RULE + CAUGHT * caught
+            raise ValueError(f"only {found} of {drawn} scenes of {task.name} are hard enough: {wanted}")
         keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(drawn + jnp.arange(DRAWN))
-        starts, places = draw(keys)
-        begin = np.asarray(simulator.observations(starts).rope.points)[:, task.goal_point]
+        start_keys, goal_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
+        if caught:
+            starts, held = _caught(task, simulator, start_keys)
+        else:
+            starts, held = reset(start_keys), np.ones(DRAWN, dtype=bool)
         obstacles = jax.vmap(simulator.obstacles)(starts)
+        places = aim(goal_keys, obstacles)
+        begin = np.asarray(simulator.observations(starts).rope.points)[:, task.goal_point]
         sizes = difficulty(obstacles, begin, np.asarray(places), task.workspace)
-        hard = (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > task.scene.rope.radius)
+        hard = held & (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > task.scene.rope.radius)
         hard &= (np.asarray(starts.faults) & int(Fault.SCENE_OVERFULL)) == 0
         goals = jax.vmap(lambda place: point_goal(task, place))(places)
         parts.append(jax.tree.map(lambda leaf, h=hard: np.asarray(leaf)[h], (starts, goals, sizes)))
         found, drawn = found + int(hard.sum()), drawn + DRAWN
     starts, goals, sizes = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
-    return SceneSet(task.name, seed, starts, goals, sizes)
+    return SceneSet(task.name, seed, starts, goals, sizes, caught)
 
 
 def save_scenes(path: Path, scenes: SceneSet) -> None:
@@ -111,7 +132,8 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
     if path.suffix != ".scenes":
         raise ValueError(f"a file of scenes ends in .scenes, got {path}")
     header = {"format": "doojax scenes", "version": VERSION, "task": scenes.task, "seed": scenes.seed}
-    arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header | {"rule": RULE}).encode(), np.uint8)}
+    header |= {"rule": rule(scenes), "caught": scenes.caught}
+    arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
     arrays |= {f"start/{name}": np.asarray(getattr(scenes.starts, name)) for name in STATE}
     arrays |= {f"goal/{name}": np.asarray(getattr(scenes.goals, name)) for name in GOAL}
     arrays |= {f"size/{name}": values for name, values in scenes.sizes.items()}
@@ -153,10 +175,14 @@ def load_scenes(path: Path) -> SceneSet:
         starts=SimState(**state, faults=jnp.zeros(count, dtype=jnp.int32), model_fields={}),
         goals=Goal(**{name: jnp.asarray(stored[f"goal/{name}"]) for name in GOAL}),
         sizes={name.removeprefix("size/"): v for name, v in stored.items() if name.startswith("size/")},
+        caught=header.get("caught", False),
     )
 
 
-def _draw(task: Task, simulator: Any, key: jax.Array) -> tuple[SimState, jax.Array]:
-    start_key, goal_key = jax.random.split(key)
-    start = simulator.reset(start_key)
-    return start, task.sample_goal(goal_key, simulator.obstacles(start))
+def _caught(task: Task, simulator: Any, keys: jax.Array) -> tuple[SimState, np.ndarray]:
+    """Where random actions led, and whether an obstacle held back the last of them."""
+    _, last, seen = random_trajectories(task, simulator, keys, RANDOM_ACTIONS, "constrained")
+    moved = seen.states.grippers[:, -1] - seen.states.grippers[:, -2]
+    short = jnp.linalg.norm(moved - seen.actions[:, -1], axis=-1).max(-1)
+    sound = (seen.faults == 0).all(-1)
+    return last, np.asarray(sound & (seen.clearance[:, -1] < TOUCHING) & (short > HELD_BACK))

@@ -43,6 +43,7 @@ VARIABLE_FIELDS = (
     "tendon_invweight0",
 )
 
+LEAST_FRICTION = 1e-5  # MuJoCo's own; warp wants it said
 HOLD_IMPEDANCE = (0.99, 0.999, 0.001, 0.5, 2.0)
 CONTACT_IMPEDANCE = (0.95, 0.99, 0.001, 0.5, 2.0)
 
@@ -68,7 +69,7 @@ def build_spec(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjSpe
             size=[5, 5, 0.1],
             contype=FLOOR_CONTACT,
             conaffinity=0,
-            friction=[1e-5, 0, 0],  # the rope's own counts; some engines refuse none at all
+            friction=[0, 0, 0],  # the rope's own counts
         )
     for obstacle in scene.obstacles:
         _add_obstacle(spec, scene, obstacle)
@@ -79,6 +80,7 @@ def build_spec(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjSpe
         _add_gripper(spec, scene, rope, gripper, index)
     for geom in spec.geoms:
         geom.solref, geom.solimp = [scene.solver.contact_time, 1], list(CONTACT_IMPEDANCE)
+        geom.friction = [max(geom.friction[0], LEAST_FRICTION), 0, 0]
     for equality in spec.equalities:
         equality.solref, equality.solimp = [scene.solver.contact_time, 1], list(HOLD_IMPEDANCE)
     return spec

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from doojax.experiments import scenes
 from doojax.experiments.difficulty import bottleneck, difficulty
+from doojax.geometry.sdf import signed_distance
 from doojax.tasks.toy import HEIGHT
 from tests.planning.problems import TOY, walls
 
@@ -70,6 +71,21 @@ def test_scenes_obey_the_rule_and_a_larger_set_begins_with_the_smaller(tmp_path)
     assert np.array_equal(read.starts.qpos, few.starts.qpos) and not read.starts.faults.any()
     assert np.array_equal(read.goals.bodies, few.goals.bodies)
     assert np.array_equal(read.sizes["distance"], few.sizes["distance"])
+
+
+def test_where_the_rope_is_caught_an_obstacle_held_the_last_action_back(tmp_path):
+    drawn = scenes.draw_scenes(TOY, 5, 3, caught=True)
+    scenes.save_scenes(tmp_path / "caught.scenes", drawn)
+    read = scenes.load_scenes(tmp_path / "caught.scenes")
+    assert read.caught and "held back" in scenes.rule(read)
+    assert not scenes.draw_scenes(TOY, 1, 3).caught
+    simulator = TOY.simulator()
+    obstacles = jax.vmap(simulator.obstacles)(read.starts)
+    rope = simulator.observations(read.starts).rope
+    bodies = jnp.concatenate([rope.points, rope.grippers], axis=1)
+    distance = jax.vmap(signed_distance)(obstacles, bodies).min(1)
+    assert (np.asarray(distance) < 0.01 + scenes.TOUCHING).all()  # the radius of rope and gripper is 1 cm
+    assert (read.sizes["straight_clearance"] < 0).all()
 
 
 def test_files_that_are_no_scenes_are_refused(tmp_path):
