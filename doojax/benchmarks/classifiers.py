@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from doojax.benchmarks.signature import median_with_interval
+from doojax.benchmarks.medians import median_row
 from doojax.experiments.reports import Row, row, show, write_summary
 from doojax.learning.presets import PresetName, classifier_preset, voxel_classifier_preset
 from doojax.models.classifier import DistanceClassifier
@@ -120,20 +120,14 @@ def rows_of(task: str, seconds: Mapping[Name, np.ndarray]) -> list[Row]:
         batches = [name[2] for name in seconds if name[:2] == (preset, kind)]
         batch = min(batches, key=lambda batch: np.median(seconds[preset, kind, batch]))
         best[preset, kind] = seconds[preset, kind, batch]
-        value, low, high = (1e6 * x for x in median_with_interval(best[preset, kind]))
         tags = {"task": task, "model": kind, "preset": preset}
-        rows.append(row("classifier_us_per_transition", tags, value, "us", low, high, ROUNDS))
+        rows.append(median_row("classifier_us_per_transition", tags, 1e6 * best[preset, kind], "us"))
         rows.append(row("classifier_best_batch", tags, batch, ""))
     for ours, theirs in PAIRS:
         ratio = best[theirs, "voxel_classifier"] / best[ours, "classifier"]
         tags = {"task": task, "preset": ours, "voxel_preset": theirs}
-        rows.append(row("classifier_speedup", tags, *_with_size(median_with_interval(ratio))))
+        rows.append(median_row("classifier_speedup", tags, ratio, ""))
     return rows
-
-
-def _with_size(estimate: tuple[float, float, float]) -> tuple[float, str, float, float, int]:
-    value, low, high = estimate
-    return value, "", low, high, ROUNDS
 
 
 @eqx.filter_jit

@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from doojax import topology
+from doojax.benchmarks.medians import median_with_interval
 from doojax.experiments.reports import Row, row, write_summary
 from doojax.topology.describe import THREADING, Scene, read_scene
 
@@ -150,10 +151,3 @@ def take_turns(functions: list[tuple[Callable[[], Any], int]]) -> list[np.ndarra
                 function()
                 samples.append(time.perf_counter() - start)
     return [np.array(samples) for samples in seconds]
-
-
-def median_with_interval(samples: np.ndarray) -> tuple[float, float, float]:
-    """Median and its 95 % interval, from the ranks that a binomial count of samples below it allows."""
-    ordered, half = np.sort(samples), 0.98 * len(samples) ** 0.5
-    low, high = int(len(samples) / 2 - half), int(np.ceil(len(samples) / 2 + half))
-    return float(np.median(ordered)), float(ordered[max(low, 0)]), float(ordered[min(high, len(samples) - 1)])

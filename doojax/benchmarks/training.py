@@ -17,8 +17,8 @@ import numpy as np
 import optax
 from jaxtyping import Array
 
-from doojax.benchmarks.signature import median_with_interval
-from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.benchmarks.medians import median_row
+from doojax.experiments.reports import Row, show, write_summary
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import FitConfig, epoch, learning_rates, start
 from doojax.learning.losses import DynamicsProblem
@@ -88,13 +88,13 @@ def measure(task: Task, preset: PresetName) -> list[Row]:
     tags = {"task": task.name, "model": "dynamics", "preset": preset}
     rows = []
     for name, members, library in (("one", 1, "doojax"), ("all", MEMBERS, "doojax"), ("flax", 1, "flax")):
-        rate = median_with_interval(steps / seconds[name])
         own = tags | {"members": members, "library": library}
-        rows.append(row("train_steps_per_s", own, rate[0], "1/s", rate[1], rate[2], ROUNDS))
-    cost = median_with_interval(seconds["all"] / seconds["one"])
-    rows.append(row("ensemble_cost_ratio", tags | {"members": MEMBERS}, *_ratio(cost)))
-    faster = median_with_interval(seconds["flax"] / seconds["one"])
-    rows.append(row("throughput_ratio", tags | {"against": "flax"}, *_ratio(faster)))
+        rows.append(median_row("train_steps_per_s", own, steps / seconds[name], "1/s"))
+    for metric, about, ratio in (
+        ("ensemble_cost_ratio", {"members": MEMBERS}, seconds["all"] / seconds["one"]),
+        ("throughput_ratio", {"against": "flax"}, seconds["flax"] / seconds["one"]),
+    ):
+        rows.append(median_row(metric, tags | about, ratio, ""))
     return rows
 
 
@@ -163,8 +163,3 @@ def take_turns(runs: Mapping[str, Callable[[int], None]]) -> dict[str, np.ndarra
             run(number)
             seconds[name].append(time.perf_counter() - begun)
     return {name: np.array(values) for name, values in seconds.items()}
-
-
-def _ratio(estimate: tuple[float, float, float]) -> tuple[float, str, float, float, int]:
-    value, low, high = estimate
-    return value, "", low, high, ROUNDS

@@ -68,7 +68,7 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
         [
             f"# {task}: {len(outcomes)} methods on {trials} {kind}",
             "",
-            f"Scenes: {rule(scenes)}.",
+            f"Scenes: {rule(scenes.caught)}.",
             "",
             *_markdown(tables["methods"]),
             "",

@@ -18,7 +18,7 @@ from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.data import Trajectories, load_split, open_dataset
 from doojax.learning.labels import Examples, LabelConfig, label
 from doojax.learning.metrics import Counts, auroc, counts, expected_calibration_error
-from doojax.learning.reliability import judged, require_both_classes
+from doojax.learning.reliability import judged_kept, require_both_classes
 from doojax.learning.train import ALPHAS
 from doojax.models import Always, CollisionChecker
 from doojax.types import Obstacles, RopeState
@@ -61,8 +61,8 @@ def evaluate_model(
     tags = {"task": task, "model": header.kind, "preset": header.about.get("preset", "none")}
     test = load_split(dataset, "test")
     if header.kind in ("dynamics", "full_dynamics"):
-        about = tags | {"phase": phase, "split": "test"}
-        rows = dynamics_rows(loaded, test, about, out / f"{task}_{header.kind}_{phase}.png")
+        picture = out / f"{task}_{header.kind}_{phase}.png"
+        rows = dynamics_rows(loaded, test, tags | {"phase": phase, "split": "test"}, picture)
         if "threshold_m" in header.about:
             rows.append(row("delta_m", tags, header.about["threshold_m"], "m"))
     elif dynamics is None:
@@ -143,10 +143,10 @@ def classifier_rows(
     """Counts, ranking, calibration and the conformal promise; ``parts`` are test and validation."""
     scores, right, trajectory = [], [], []
     for examples, obstacles in parts:
-        kept = np.asarray(examples.kept(threshold))
-        scores.append(np.asarray(judged(judge, examples, obstacles))[kept].astype(np.float64))
-        right.append(np.asarray(examples.right(threshold))[kept])
-        trajectory.append(np.asarray(examples.trajectory)[kept])
+        values, correct = judged_kept(judge, examples, obstacles, threshold)
+        scores.append(values.astype(np.float64))
+        right.append(correct)
+        trajectory.append(np.asarray(examples.trajectory)[np.asarray(examples.kept(threshold))])
     limit = float(judge.threshold)
     found, n = counts(scores[0] > limit, right[0]), len(right[0])
     rows = [row("right_fraction", tags, right[0].mean(), "", n=n)]

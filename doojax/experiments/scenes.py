@@ -79,12 +79,12 @@ def scenes(
         interval = f"{mean.low:.3f} to {mean.high:.3f}"
         table.add_row(name, f"{mean.value:.3f}", interval, f"{values.min():.3f}", f"{values.max():.3f}")
     Console().print(table)
-    Console(stderr=True).print(f"wrote {out}: {rule(drawn)}", highlight=False)
+    Console(stderr=True).print(f"wrote {out}: {rule(caught)}", highlight=False)
 
 
-def rule(scenes: SceneSet) -> str:
+def rule(caught: bool) -> str:
     """What all scenes of a set have in common."""
-    return RULE + CAUGHT * scenes.caught
+    return RULE + CAUGHT * caught
 
 
 def draw_scenes(task: Task, count: int, seed: int, *, caught: bool = False) -> SceneSet:
@@ -102,8 +102,7 @@ def draw_scenes(task: Task, count: int, seed: int, *, caught: bool = False) -> S
     found = drawn = 0
     while found < count:
         if drawn > MOST_DRAWN * count + 10 * DRAWN:
-            wanted = RULE + CAUGHT * caught
-            raise ValueError(f"only {found} of {drawn} scenes of {task.name} are hard enough: {wanted}")
+            raise ValueError(f"only {found} of {drawn} scenes of {task.name} are hard enough: {rule(caught)}")
         keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(drawn + jnp.arange(DRAWN))
         start_keys, goal_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
         if caught:
@@ -132,7 +131,7 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
     if path.suffix != ".scenes":
         raise ValueError(f"a file of scenes ends in .scenes, got {path}")
     header = {"format": "doojax scenes", "version": VERSION, "task": scenes.task, "seed": scenes.seed}
-    header |= {"rule": rule(scenes), "caught": scenes.caught}
+    header |= {"rule": rule(scenes.caught), "caught": scenes.caught}
     arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
     arrays |= {f"start/{name}": np.asarray(getattr(scenes.starts, name)) for name in STATE}
     arrays |= {f"goal/{name}": np.asarray(getattr(scenes.goals, name)) for name in GOAL}

@@ -116,6 +116,11 @@ def fit(
     return eqx.combine(state.best, static)
 
 
+def member(models: PyTree, index: int) -> PyTree:
+    """One of the models that `fit` gave."""
+    return jax.tree.map(lambda leaf: leaf[index] if eqx.is_array(leaf) else leaf, models)
+
+
 def start(problem: Problem, config: FitConfig, members: PyTree, *, key: Array) -> tuple[FitState, PyTree]:
     """The state before the first epoch, and what of the model is not trained."""
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from doojax.learning.fit import balanced
 from doojax.learning.labels import Examples
@@ -74,6 +74,14 @@ def judged(judge: Callable[..., Array], examples: Examples, obstacles: Obstacles
         jnp.arange(len(examples)),
         batch_size=min(AT_ONCE, len(examples)),
     )
+
+
+def judged_kept(
+    judge: Callable[..., Array], examples: Examples, obstacles: Obstacles, threshold: float
+) -> tuple[Float[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
+    """What ``judge`` says of the examples that count at a threshold (m) of the error, and are they right."""
+    kept = np.asarray(examples.kept(threshold))
+    return np.asarray(judged(judge, examples, obstacles))[kept], np.asarray(examples.right(threshold))[kept]
 
 
 def require_both_classes(examples: Examples, threshold: float, split: str) -> None:

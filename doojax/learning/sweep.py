@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,11 +13,11 @@ from jaxtyping import Bool, Float
 from doojax.datasets.files import MANIFEST
 from doojax.learning.calibration import fit_calibration
 from doojax.learning.data import load_split
-from doojax.learning.fit import Report, fit
+from doojax.learning.fit import Report, fit, member
 from doojax.learning.labels import label
 from doojax.learning.metrics import auroc, counts
 from doojax.learning.presets import PresetName, classifier_preset, labels_preset
-from doojax.learning.reliability import ClassifierProblem, judged, require_both_classes
+from doojax.learning.reliability import ClassifierProblem, judged_kept, require_both_classes
 from doojax.learning.train import judged_data, model_file, open_run
 from doojax.models.classifier import DistanceClassifier
 
@@ -107,16 +106,13 @@ def sweep_thresholds(
     models = fit(problem, network.fit, seed=seed, run=run, members=members, report=report)
     measured = []
     for i, threshold in enumerate(np.repeat(chosen, seeds)):
-        model = jax.tree.map(lambda leaf, i=i: leaf[i] if eqx.is_array(leaf) else leaf, models)
-        logits, right = {}, {}
-        for split in ("validation", "test"):
-            kept = np.asarray(examples[split].kept(threshold))
-            every = judged(model.logit, examples[split], parts[split].obstacles)
-            logits[split] = np.asarray(every)[kept]
-            right[split] = np.asarray(examples[split].right(threshold))[kept]
-        calibration = fit_calibration(logits["validation"], right["validation"])
-        scores = np.asarray(calibration(jnp.asarray(logits["test"])))
-        measured.append(judge(scores, right["test"], float(threshold), i % seeds))
+        model = member(models, i)
+        spare, test = (
+            judged_kept(model.logit, examples[split], parts[split].obstacles, float(threshold))
+            for split in ("validation", "test")
+        )
+        scores = np.asarray(fit_calibration(*spare)(jnp.asarray(test[0])))
+        measured.append(judge(scores, test[1], float(threshold), i % seeds))
     return task.name, own, measured
 
 

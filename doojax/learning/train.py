@@ -15,7 +15,7 @@ from doojax.datasets.store import Dataset
 from doojax.learning.calibration import conformal_threshold, fit_calibration
 from doojax.learning.checkpoints import MODEL, Header, load_model
 from doojax.learning.data import load_split, open_dataset
-from doojax.learning.fit import Report, fit
+from doojax.learning.fit import Report, fit, member
 from doojax.learning.full_dynamics import FullDynamicsProblem, windows
 from doojax.learning.labels import error_threshold, label
 from doojax.learning.losses import DynamicsProblem
@@ -30,7 +30,7 @@ from doojax.learning.presets import (
     voxel_classifier_preset,
 )
 from doojax.learning.recovery import RecoveryProblem, label_recovery
-from doojax.learning.reliability import ClassifierProblem, judged, require_both_classes
+from doojax.learning.reliability import ClassifierProblem, judged_kept, require_both_classes
 from doojax.learning.runs import RunDirectory
 from doojax.models.classifier import DistanceClassifier
 from doojax.models.ensemble import Ensemble
@@ -87,7 +87,7 @@ def train_full_dynamics(
     steps = min(part.actions.shape[1] for part in parts["train"])
     train, validation = (windows(part, steps) for part in parts.values())
     problem = FullDynamicsProblem(train, validation, chosen.network)
-    model = _only_member(fit(problem, chosen.fit, seed=seed, run=run, report=report))
+    model = member(fit(problem, chosen.fit, seed=seed, run=run, report=report), 0)
     header = Header("full_dynamics", task.name, asdict(chosen.network), {"preset": preset, "seed": seed})
     run.finish(header, model)
     return header
@@ -121,13 +121,12 @@ def train_classifier(
         train, parts[0].obstacles, validation, parts[1].obstacles, network, chosen.network
     )
     models = fit(problem, chosen.fit, seed=seed, run=run, members=jnp.array([threshold]), report=report)
-    model = _only_member(models)
-    kept, right = (np.asarray(x) for x in (validation.kept(threshold), validation.right(threshold)))
-    logits = np.asarray(judged(model.logit, validation, parts[1].obstacles))
-    calibration = fit_calibration(logits[kept], right[kept])
+    model = member(models, 0)
+    logits, right = judged_kept(model.logit, validation, parts[1].obstacles, threshold)
+    calibration = fit_calibration(logits, right)
     model = eqx.tree_at(lambda m: m.calibration, model, calibration)
-    probabilities = np.asarray(calibration(jnp.asarray(logits)))[kept]
-    safe = {str(alpha): conformal_threshold(probabilities, right[kept], alpha) for alpha in ALPHAS}
+    probabilities = np.asarray(calibration(jnp.asarray(logits)))
+    safe = {str(alpha): conformal_threshold(probabilities, right, alpha) for alpha in ALPHAS}
     about = {
         "preset": preset,
         "seed": seed,
@@ -173,7 +172,7 @@ def train_recovery(
         )
     problem = RecoveryProblem(train, validation, judge, chosen.network)
     models = fit(problem, chosen.fit, seed=seed, run=run, report=report)
-    model = _only_member(models)
+    model = member(models, 0)
     about = {"preset": preset, "seed": seed, "stuck_states": len(train)}
     header = Header("recovery", task.name, asdict(chosen.network), about)
     run.finish(header, model)
@@ -200,10 +199,6 @@ def judged_data(data: Path, dynamics: Path, threshold: float | None) -> tuple[Da
     if not threshold > 0:
         raise ValueError(f"the threshold of the error is {threshold}, expected a positive length (m)")
     return dataset, ensemble, make_task(name), threshold
-
-
-def _only_member(models: Any) -> Any:
-    return jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, models)
 
 
 def _with_epochs(preset: Preset, epochs: int | None) -> Preset:

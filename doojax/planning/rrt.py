@@ -119,6 +119,21 @@ def propagate(
     return _propagate_jitted(dynamics, obstacles, states, actions)
 
 
+def judged(
+    reliability: Reliability,
+    problem: Problem,
+    before: RopeState,
+    actions: Float[Array, "L G 3"],
+    after: RopeState,
+    uncertainty: Float[Array, "L"],
+) -> tuple[Float[Array, "L"], Bool[Array, "L"], Float[Array, "L"]]:
+    """Of L predicted steps of one problem: the scores, are they finite, and the metres to the goal after."""
+    judge = jax.vmap(reliability, in_axes=(None, 0, 0, 0, 0))
+    score = judge(problem.obstacles, before, actions, after, uncertainty)
+    sound = jnp.isfinite(bodies_of(after)).all((-1, -2))
+    return score, sound, jax.vmap(problem.goal.distance)(after)
+
+
 @eqx.filter_jit(donate="all-except-first")
 def _grow(arguments: tuple, tree: Tree) -> tuple[Tree, Lanes]:
     """Expand until all problems are done or the slots are filled."""
@@ -287,11 +302,8 @@ def _insert_one(
     uncertainty: Float[Array, "L"],
 ) -> tuple[Tree, Lanes]:
     """The tree with what was tried, and the lanes where they got to. A tree that is done stays as it is."""
-    judge = jax.vmap(reliability, in_axes=(None, 0, 0, 0, 0))
-    score = judge(problem.obstacles, parents, lanes.action, after, uncertainty)
-    sound = jnp.isfinite(bodies_of(after)).all((-1, -2))
+    score, sound, distance = judged(reliability, problem, parents, lanes.action, after, uncertainty)
     accepted = sound & ((score > reliability.threshold) | lanes.lucky)
-    distance = jax.vmap(problem.goal.distance)(after)
     done = tree.solved | tree.stuck
     accepted &= ~done
 

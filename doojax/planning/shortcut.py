@@ -11,11 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from doojax.models.protocols import Reliability
-from doojax.planning.goals import bodies_of
-from doojax.planning.rrt import Rrt, propagate
+from doojax.planning.rrt import Rrt, judged, propagate
 from doojax.planning.tree import Plan, Problem, Tree
-from doojax.tasks.base import Task
 from doojax.types import RopeState
 
 
@@ -56,6 +53,7 @@ def _round(
 
     obstacles = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], problem.obstacles)
     near = planner.settings.goal_margin * problem.goal.tolerance
+    judge = eqx.tree_at(lambda p: p.dynamics, planner, None)  # which may be no pytree
     states = jax.tree.map(lambda leaf: jnp.asarray(leaf[plan.nodes[leave]]), tree.state)
     going, steps = np.ones(lanes, dtype=bool), []
     best: tuple[int, float, int, int] | None = None  # actions, metres from the goal, lane, steps of the lane
@@ -63,15 +61,14 @@ def _round(
         before = jax.tree.map(lambda leaf: leaf[None], states)
         after, uncertainty = propagate(planner.dynamics, obstacles, before, jnp.asarray(action)[None])
         after, uncertainty = jax.tree.map(lambda leaf: leaf[0], (after, uncertainty))
-        judged = _judge(
-            planner.task, planner.reliability, problem, states, jnp.asarray(action), after, uncertainty, near
-        )
-        score, fine, distance, there = (np.asarray(values) for values in judged)
+        found = _judge(judge, problem, states, jnp.asarray(action), after, uncertainty)
+        score, fine, distance = (np.asarray(values) for values in found)
+        there = distance <= near
         going &= fine & (step < ends)
         steps.append((after, score, distance))
         for lane in np.flatnonzero(going & there):
-            found = (int(leave[lane]) + step + 1, float(distance[lane]), int(lane), step + 1)
-            best = found if best is None else min(best, found)
+            reached = (int(leave[lane]) + step + 1, float(distance[lane]), int(lane), step + 1)
+            best = reached if best is None else min(best, reached)
         going &= ~there
         if not going.any():
             break
@@ -91,21 +88,12 @@ def _sequence(plan: Plan, leave: int, arrive: int, moves: int) -> Float[np.ndarr
 
 @eqx.filter_jit
 def _judge(
-    task: Task,
-    reliability: Reliability,
-    problem: Problem,
-    before: RopeState,
-    actions: Float[Array, "L G 3"],
-    after: RopeState,
-    uncertainty: Float[Array, "L"],
-    near: Float[Array, ""],
-) -> tuple[Float[Array, "L"], Bool[Array, "L"], Float[Array, "L"], Bool[Array, "L"]]:
-    """Of each step: its score, may it be in a plan, the metres to the goal after it, is that near enough."""
-    score = jax.vmap(reliability, (None, 0, 0, 0, 0))(problem.obstacles, before, actions, after, uncertainty)
-    allowed = jax.vmap(lambda state, action: task.valid_action(state, action, "constrained"))(before, actions)
-    sound = jnp.isfinite(bodies_of(after)).all((-1, -2))
-    distance = jax.vmap(problem.goal.distance)(after)
-    return score, sound & allowed & (score > reliability.threshold), distance, distance <= near
+    planner: Rrt, problem: Problem, before: RopeState, actions: Array, after: RopeState, uncertainty: Array
+) -> tuple[Float[Array, "L"], Bool[Array, "L"], Float[Array, "L"]]:
+    """Of each step: its score, may it be in a plan, and the metres to the goal after it."""
+    score, sound, distance = judged(planner.reliability, problem, before, actions, after, uncertainty)
+    allow = jax.vmap(lambda state, action: planner.task.valid_action(state, action, "constrained"))
+    return score, sound & allow(before, actions) & (score > planner.reliability.threshold), distance
 
 
 def _grafted(

@@ -7,14 +7,13 @@ no content can be faster than that. The contents are made up (`doojax.viewer.exa
 
 import tempfile
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from doojax.benchmarks.signature import median_with_interval
+from doojax.benchmarks.medians import median_row
 from doojax.experiments.records import save_record
 from doojax.experiments.reports import Row, row, show, write_summary
 from doojax.viewer import colours
@@ -151,7 +150,7 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
 def changing(page: "Page") -> list[Row]:
     """Step to and fro in time, in a page that shows a data set."""
     found = stepped(page, "/shown0/now/rope")
-    tags = {"trajectories": TRAJECTORIES}
+    tags = {"trajectories": TRAJECTORIES, **SOFTWARE}
     return [
         median_row("frame_ms", {**tags, "part": part}, times, "ms")
         for part, times in zip(("arrival", "pixels"), found.T, strict=True)
@@ -173,7 +172,7 @@ def changing_least(server: Server, page: "Page") -> Row:
     viewed.key("Down", "J", lambda: move(-0.001))
     viewed.call(lambda: move(0.0))
     page.wait_for_function("window.__viserMutable.nodeRefFromName['/least']")
-    return median_row("frame_ms", {"part": "floor"}, stepped(page, "/least")[:, 1], "ms")
+    return median_row("frame_ms", {"part": "floor", **SOFTWARE}, stepped(page, "/least")[:, 1], "ms")
 
 
 def stepped(page: "Page", node: str) -> Float[np.ndarray, "k 2"]:
@@ -195,7 +194,7 @@ def opening(server: Server, page: "Page", path: Path) -> Row:
         page.get_by_text("Read again").wait_for()
         found.append(max(end, time.time()) - start)  # the controls come after the picture, or before it
         app.close()
-    return median_row("open_s", {"trajectories": TRAJECTORIES}, np.array(found), "s")
+    return median_row("open_s", {"trajectories": TRAJECTORIES, **SOFTWARE}, np.array(found), "s")
 
 
 def turning(server: Server, page: "Page", path: Path) -> Row:
@@ -214,9 +213,3 @@ def turning(server: Server, page: "Page", path: Path) -> Row:
     app.close()
     rate = 1000 * (len(frames) - 1) / (frames[-1] - frames[0])
     return row("tree_fps", {"nodes": NODES, **SOFTWARE}, rate, "1/s", n=len(frames))
-
-
-def median_row(metric: str, tags: Mapping[str, int | str], found: np.ndarray, unit: str) -> Row:
-    """The median of some measurements."""
-    median, low, high = median_with_interval(found)
-    return row(metric, {**tags, **SOFTWARE}, median, unit, low, high, len(found))

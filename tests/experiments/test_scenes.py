@@ -77,7 +77,7 @@ def test_where_the_rope_is_caught_an_obstacle_held_the_last_action_back(tmp_path
     drawn = scenes.draw_scenes(TOY, 5, 3, caught=True)
     scenes.save_scenes(tmp_path / "caught.scenes", drawn)
     read = scenes.load_scenes(tmp_path / "caught.scenes")
-    assert read.caught and "held back" in scenes.rule(read)
+    assert read.caught and "held back" in scenes.rule(read.caught)
     assert not scenes.draw_scenes(TOY, 1, 3).caught
     simulator = TOY.simulator()
     obstacles = jax.vmap(simulator.obstacles)(read.starts)
