@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,9 +14,10 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from doojax.datasets.files import file_digest
 from doojax.experiments.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
 from doojax.experiments.reports import Row, row, write_summary, write_whole
-from doojax.experiments.scenes import load_scenes, rule
+from doojax.experiments.scenes import FOLDER, load_scenes, rule
 from doojax.experiments.statistics import (
     Estimate,
     PairedTest,
@@ -27,6 +29,8 @@ from doojax.experiments.statistics import (
     success_rate,
 )
 from doojax.experiments.tables import cells
+from doojax.experiments.trial import TrialSettings
+from doojax.planning import RrtSettings
 
 ORACLE = "oracle"
 TESTS: dict[str, Callable[[Outcomes, Outcomes], PairedTest]] = {
@@ -64,11 +68,14 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
     _write_csv(out / "trials.csv", trial_table(outcomes, sizes))
     scene_lines, end_lines = scene_table(outcomes, sizes), end_table(outcomes)
     trials = len(outcomes[0].trials)
+    command = command_of(config, folder, [one.method for one in outcomes])
     text = "\n".join(
         [
             f"# {task}: {len(outcomes)} methods on {trials} {kind}",
             "",
             f"Scenes: {rule(scenes.caught)}.",
+            "",
+            f"Made by `{command}`, seed {config['seed']}.",
             "",
             *_markdown(tables["methods"]),
             "",
@@ -88,11 +95,25 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
     write_whole(out / "comparison.md", text + "\n")
     draw_success(out / "success.png", outcomes, f"{task.replace('_', ' ')}, {trials} {kind}")
     if summary is not None:
-        command = f"doojax evaluate {task} --methods {' '.join(one.method for one in outcomes)}"
         rows = summary_rows({"task": task} | ({"start": "caught"} if scenes.caught else {}), outcomes)
         write_summary(summary, command=command, seed=int(config["seed"]), rows=rows)
     show_briefly(outcomes, f"{task}: {trials} {kind}")
     Console(stderr=True).print(f"all tables and the figure are in {out}", highlight=False)
+
+
+def command_of(config: dict[str, Any], folder: Path, methods: Sequence[str]) -> str:
+    """The command that made an evaluation, with all settings that are not the default."""
+    task = config["task"]
+    command = f"doojax evaluate {task} --methods {' '.join(methods)}"
+    shipped = {file_digest(path)[:16]: path.name for path in FOLDER.glob("*.scenes")}
+    scenes = shipped.get(config["scenes"], folder / SCENES) if "scenes" in config else f"{task}.scenes"
+    if scenes != f"{task}.scenes":
+        command += f" --scenes {scenes}"
+    for group, defaults in (("planning", RrtSettings()), ("budget", TrialSettings())):
+        for name, value in config.get(group, {}).items():
+            if value != getattr(defaults, name):
+                command += f" --{group}.{name.replace('_', '-')} {value}"
+    return command
 
 
 def show_briefly(outcomes: Sequence[Outcomes], title: str) -> None:

@@ -100,6 +100,18 @@ def test_the_tables_say_what_happened(folder):
     assert "| goal reached | 11 | 1 | 11 |" in text
 
 
+def test_what_was_not_the_default_is_said(folder):
+    planning, budget = {"lanes": 64, "shortcuts": 0}, {"searches": 40, "replan_distance": 0.1}
+    config = {"task": "toy", "seed": 3, "scenes": "0123", "planning": planning, "budget": budget}
+    (folder / "config.json").write_text(json.dumps(config))
+    compare(folder, summary=folder / "summary.json")
+    command = "doojax evaluate toy --methods classifier no_classifier oracle "
+    command += f"--scenes {folder / 'all.scenes'} --planning.shortcuts 0 "
+    command += "--budget.searches 40 --budget.replan-distance 0.1"
+    assert f"Made by `{command}`, seed 3." in (folder / "comparison" / "comparison.md").read_text()
+    assert read_summary(folder / "summary.json").runs[0].command == command
+
+
 def test_the_figure_shows_a_curve_for_every_method(folder):
     compare(folder)
     image = iio.imread(folder / "comparison" / "success.png")[..., :3].astype(int)
