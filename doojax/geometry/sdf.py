@@ -60,10 +60,10 @@ def nearest_obstacle(obstacles: Obstacles, points: Float[Array, "*p 3"]) -> Int[
 
     Arguments and errors as for `signed_distance`.
     """
-    distances = signed_distances(obstacles, points)
+    _require_one_set(obstacles)
     if obstacles.kind.shape == (0,):
         return jnp.full(points.shape[:-1], -1)
-    return jnp.where(jnp.any(obstacles.active), jnp.argmin(distances, axis=-1), -1)
+    return jnp.where(jnp.any(obstacles.active), _nearest(obstacles, points)[1], -1)
 
 
 def segment_signed_distance(
@@ -122,19 +122,42 @@ def _require_one_set(obstacles: Obstacles) -> None:
 
 @jax.custom_jvp
 def _least_distance(obstacles: Obstacles, points: Float[Array, "*p 3"]) -> Float[Array, "*p"]:
-    return jnp.min(_distances(obstacles, points[..., None, :]), axis=-1)
+    return _nearest(obstacles, points)[0]
 
 
 @_least_distance.defjvp
 def _least_distance_jvp(primals, tangents):
     # Only the nearest obstacle moves the minimum: differentiating it alone is several times faster than
     # differentiating all of them, and leaves no average of gradients where two are equally near.
-    nearest = jnp.argmin(_distances(primals[0], primals[1][..., None, :]), axis=-1)
+    nearest = _nearest(*primals)[1]
 
     def distance(obstacles: Obstacles, points: Array) -> Array:
         return _distances(jax.tree.map(lambda field: field[nearest], obstacles), points)
 
     return jax.jvp(distance, primals, tangents)
+
+
+def _nearest(
+    obstacles: Obstacles, points: Float[Array, "*p 3"]
+) -> tuple[Float[Array, "*p"], Int[Array, "*p"]]:
+    """The least distance to any obstacle, and the index of the first that is so near."""
+
+    def at_once(obstacles: Obstacles, points: Array) -> tuple[Array, Array]:
+        distances = _distances(obstacles, points[..., None, :])
+        return jnp.min(distances, axis=-1), jnp.argmin(distances, axis=-1)
+
+    def in_turn(obstacles: Obstacles, points: Array) -> tuple[Array, Array]:
+        # XLA's reduction to a value and its index is scalar code on a CPU: this is several times faster.
+        def closer(index, best):
+            distance = _distances(jax.tree.map(lambda field: field[index], obstacles), points)
+            nearer = distance < best[0]
+            return jnp.minimum(distance, best[0]), jnp.where(nearer, index, best[1])  # NaN stays NaN
+
+        shape = points.shape[:-1]
+        first = jnp.full(shape, jnp.inf, points.dtype), jnp.zeros(shape, int)
+        return jax.lax.fori_loop(0, obstacles.kind.shape[0], closer, first)
+
+    return jax.lax.platform_dependent(obstacles, points, cpu=in_turn, default=at_once)
 
 
 def _distances(obstacles: Obstacles, points: Float[Array, "*#p 3"]) -> Float[Array, "*p"]:

@@ -14,7 +14,7 @@ from doojax.viewer.text import legend, listed, plain
 FOLLOW = "the one being followed"
 LEGEND = {"rope, executed": colours.EXECUTED, "recoveries": colours.RECOVERY, "gripper": colours.GRIPPER}
 LEGEND |= {"goal": colours.GOAL, "chosen path": colours.CHOSEN, "obstacle": colours.OBSTACLE}
-LEGEND |= {"tree, from its root": "viridis", "rejected": colours.REJECTED}
+LEGEND |= {"tree, by depth or score": "viridis", "rejected": colours.REJECTED}
 
 
 class TrialPage:

@@ -224,6 +224,16 @@ def test_no_active_obstacle_is_far_away_and_has_no_gradient():
         assert jnp.all(gradient(empty, points) == 0)
 
 
+def test_nearest_is_the_first_of_the_least_distances_and_nan_stays_nan():
+    rng = np.random.default_rng(4)
+    once = random_obstacles(rng)
+    twice = jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), once)  # every obstacle has an equal
+    points = jnp.asarray(rng.uniform(-0.9, 0.9, (500, 3)))
+    np.testing.assert_array_equal(nearest(twice, points), distances(twice, points).argmin(-1))
+    assert nearest(twice, points).max() < len(KINDS)
+    assert jnp.isnan(distance(once, jnp.array([[jnp.nan, 0.0, 0.0]])))
+
+
 def test_moving_the_obstacle_is_moving_the_point_back():
     rng = np.random.default_rng(6)
     obstacles, point = random_obstacles(rng), jnp.asarray(rng.uniform(-0.8, 0.8, 3), float)

@@ -1,18 +1,24 @@
 """Pictures and recordings without a browser; columns by which one filters; meshes."""
 
 import re
+import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from imageio import v3 as imageio
+from imageio_ffmpeg import get_ffmpeg_exe
 
 from doojax.datasets import Dataset
+from doojax.experiments.records import PlanRecord
+from doojax.viewer import colours
 from doojax.viewer.columns import Columns, select
 from doojax.viewer.examples import write_dataset
 from doojax.viewer.page import start_server
 from doojax.viewer.pictures import contact_sheet
 from doojax.viewer.render import most_moving, render
 from doojax.viewer.shapes import smooth, tube, turns_from_z
+from doojax.viewer.show import node_colours
 
 
 def orange(pixels: np.ndarray) -> np.ndarray:
@@ -40,13 +46,22 @@ def test_those_that_move_most_are_found(contents):
     assert most_moving(dataset, 3) == sorted(np.argsort(-steps.sum(1))[:3].tolist())
 
 
-def test_a_gif_moves(tmp_path):
-    write_dataset(tmp_path / "short", 1, states=4)
-    render(tmp_path / "short", out=tmp_path / "deep" / "short.gif", index=0)
-    frames = imageio.imread(tmp_path / "deep" / "short.gif")
-    ropes = [orange(frame) for frame in frames]
-    assert len(ropes) == 7 and all(rope.sum() > 100 for rope in ropes)
+@pytest.mark.parametrize("ending", ["gif", "mp4"])
+def test_a_film_moves(tmp_path, ending):
+    write_dataset(tmp_path / "short", 1, states=6)
+    film = tmp_path / "deep" / f"short.{ending}"
+    render(tmp_path / "short", out=film, index=0)
+    ropes = [orange(frame) for frame in frames_of(film, tmp_path)]
+    assert len(ropes) == 11 and all(rope.sum() > 100 for rope in ropes)
     assert (ropes[0] & ropes[-1]).sum() < 0.8 * ropes[0].sum()
+
+
+def frames_of(film, folder):
+    """The frames, taken apart by ffmpeg itself: imageio leaves its pipes to it open."""
+    if film.suffix == ".gif":
+        return imageio.imread(film)
+    subprocess.run([get_ffmpeg_exe(), "-v", "error", "-i", film, folder / "%03d.png"], check=True)
+    return [imageio.imread(picture) for picture in sorted(folder.glob("*.png"))]
 
 
 def test_a_recording_holds_its_scene(contents, tmp_path):
@@ -76,6 +91,24 @@ def test_what_cannot_be_drawn_is_said_and_nothing_is_written(contents, tmp_path,
 def test_a_taken_port_is_an_error_that_says_what_to_do(server):
     with pytest.raises(OSError, match=r"cannot serve on 127\.0\.0\.1, port .*; choose another with"):
         start_server("127.0.0.1", server.get_port())
+
+
+def test_a_node_has_the_colour_of_its_depth_or_its_score():
+    plan = PlanRecord(
+        step=0,
+        parent=np.array([-1, 0, 1, 0]),
+        points=np.zeros((4, 2, 3)),
+        grippers=np.zeros((4, 1, 3)),
+        accepted=np.array([True, True, True, False]),
+        path=np.array([0, 1, 2]),
+        score=np.array([np.nan, 0.9, 0.5, 0.1]),
+    )
+    dark, middle, light = colours.scale("viridis", np.array([0.0, 0.5, 1.0])).tolist()
+    none, refused = [150, 150, 150], list(colours.REJECTED)
+    assert node_colours(plan, "depth").tolist() == [dark, middle, light, refused]
+    assert node_colours(plan, "score").tolist() == [none, light, dark, refused]
+    unscored = replace(plan, score=None)
+    assert node_colours(unscored, "score").tolist() == node_colours(plan, "depth").tolist()
 
 
 def test_columns_are_what_numpy_finds_in_the_fields(contents):
