@@ -103,7 +103,7 @@ def _set_options(spec: mujoco.MjSpec, scene: Scene) -> None:
     algorithms = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
     option.solver = algorithms[solver.algorithm]
     option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-    option.iterations = solver.iterations
+    option.iterations, option.tolerance = solver.iterations, solver.tolerance
     option.ls_iterations = solver.line_search_iterations
     # a state that blows up must stay visible: MuJoCo would put the rope back to its start
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET

@@ -67,6 +67,7 @@ class SolverSettings:
     algorithm: Literal["newton", "cg"] = "newton"  # cg pays from about 30 degrees of freedom on
     iterations: int = 6
     line_search_iterations: int = 6
+    tolerance: float = 1e-8  # of a step's improvement, below which a solver stops; MuJoCo's own scale
     contact_time: float = 0.01  # s, time constant of contacts and holds; at least two time steps
     max_contact_points: int = 20  # kept by MJX, most penetrating first; MuJoCo C keeps all
     max_geom_pairs: int = 24  # tested by MJX after a bounding sphere test, per pair of geometry types
