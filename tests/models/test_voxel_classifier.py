@@ -1,6 +1,7 @@
 """The classifier that sees voxels: its rasters, its convolutions, what it is blind to, whether it learns."""
 
 from dataclasses import asdict, replace
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from doojax.geometry.voxels import Grid, gaussian_raster, inverse_log_raster
 from doojax.learning.checkpoints import Header, load_model, save_model
 from doojax.models import Reliability
-from doojax.models.rasters import Encoder, ViewConfig, rasterise, view
+from doojax.models.rasters import Encoder, ViewConfig, convolved, rasterise, view
 from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
 from doojax.types import Obstacles, ShapeKind
 
@@ -118,6 +119,30 @@ def test_the_encoder_is_a_convolution_over_three_axes_with_pools(config):
         )
     assert expected.size == config.features
     np.testing.assert_allclose(encoder.convolve(voxels), expected.reshape(-1), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("batched_kernel", [None, 0])
+def test_a_convolution_and_both_its_derivatives_are_those_of_jax(batched_kernel):
+    random = np.random.default_rng(3)
+    few = () if batched_kernel is None else (6,)
+    shapes = [(6, 2, 7, 5, 3), (*few, 3, 3, 3, 4), (6, 2, 5, 3, 4)]
+    arrays = [jnp.asarray(random.normal(size=shape), jnp.float32) for shape in shapes]
+    voxels_dot, kernel_dot = (jnp.asarray(random.normal(size=shape), jnp.float32) for shape in shapes[:2])
+
+    def plain(voxels, kernel):
+        return jax.lax.conv_general_dilated(
+            voxels, kernel, (1, 1), "VALID", dimension_numbers=("NHWC", "HWIO", "NHWC")
+        )
+
+    @partial(jax.jit, static_argnums=0)
+    def everything(one, voxels, kernel, weights):
+        many = jax.vmap(one, (0, batched_kernel))
+        value, along = jax.jvp(many, (voxels, kernel), (voxels_dot, kernel_dot))
+        return value, along, jax.grad(lambda *both: (weights * many(*both)).sum(), (0, 1))(voxels, kernel)
+
+    ours, theirs = (jax.tree.leaves(everything(one, *arrays)) for one in (convolved, plain))
+    for found, expected in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 def test_what_is_encoded_does_not_depend_on_where_in_the_world_it_is(classifier):
