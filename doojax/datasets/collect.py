@@ -34,8 +34,8 @@ def collect(
 ) -> None:
     """Collect random trajectories of a task into a data set.
 
-    Runs on from where it was killed, to the same bytes. Trajectory i depends on the task, phase, states,
-    engine, seed and i alone: a longer collection begins with the same trajectories.
+    Runs on from where it was killed, to the same bytes. Trajectory i depends on the task, its scene, phase,
+    states, engine, seed and i alone: a longer collection begins with the same trajectories.
 
     Args:
         task: rope_dragging or dual_gripper.
@@ -58,6 +58,7 @@ def collect(
         raise ValueError(f"states is {states}, expected at least 2: one action leads to a second state")
     engine = resolve_engine(engine)
     config = {"task": task, "phase": phase, "states": states, "engine": engine, "seed": seed}
+    config["scene"] = the_task.scene.digest
     writer = DatasetWriter.open(
         out, config=config, schema=schema(the_task, states - 1), n=trajectories, shard_size=SHARD_SIZE
     )

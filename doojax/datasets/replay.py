@@ -63,15 +63,19 @@ def replay(path: Path, /, *, trajectory: int = 0, engine: str = "auto") -> None:
     Raises:
         ValueError: for a number that does not exist, or a path that holds neither.
     """
+    console = Console()
     if path.is_dir():
-        task, made_with, state, actions, points, faults = _from_dataset(Dataset.open(path), trajectory)
+        dataset = Dataset.open(path)
+        task, made_with, state, actions, points, faults = _from_dataset(dataset, trajectory)
+        if dataset.config.get("scene") != make_task(task).scene.digest:
+            console.print(f"[yellow]the scene of {task} has changed since these were collected[/yellow]")
     else:
         task, made_with, state, actions, points, faults = _from_failures(path, trajectory)
     engine = resolve_engine(made_with if engine == "auto" else engine)
     simulator = make_task(task).simulator(engine)
     batch = jax.tree.map(lambda leaf: leaf[None], (state, actions))
     _, again = simulator.rollout(*batch)
-    _show(Console(), np.asarray(again.states.points[0]), points, np.asarray(again.faults[0]), faults, again)
+    _show(console, np.asarray(again.states.points[0]), points, np.asarray(again.faults[0]), faults, again)
 
 
 def stored_starts(dataset: Dataset, rows: Int[np.ndarray, "B"]) -> SimState:

@@ -20,6 +20,7 @@ from doojax.types import Obstacles, ShapeKind
 FAR = 1000.0
 """Distance reported to an inactive obstacle, metres: finite, so that losses and gradients stay finite."""
 
+_MEASURES = ("centre", "quaternion", "half_size")
 _SHRINK = 0.55  # of the bracket kept by each step of the search along a segment
 _SEARCH_STEPS = 23  # which leave _SHRINK**23 = 1.1e-6 of the segment
 
@@ -137,10 +138,11 @@ def _least_distance_jvp(primals, tangents):
     return jax.jvp(distance, primals, tangents)
 
 
+@jax.jit
 def _nearest(
     obstacles: Obstacles, points: Float[Array, "*p 3"]
 ) -> tuple[Float[Array, "*p"], Int[Array, "*p"]]:
-    """The least distance to any obstacle, and the index of the first that is so near."""
+    """The least distance to any obstacle, and the index of the first that is so near, or the first NaN."""
 
     def at_once(obstacles: Obstacles, points: Array) -> tuple[Array, Array]:
         distances = _distances(obstacles, points[..., None, :])
@@ -150,11 +152,12 @@ def _nearest(
         # XLA's reduction to a value and its index is scalar code on a CPU: this is several times faster.
         def closer(index, best):
             distance = _distances(jax.tree.map(lambda field: field[index], obstacles), points)
-            nearer = distance < best[0]
-            return jnp.minimum(distance, best[0]), jnp.where(nearer, index, best[1])  # NaN stays NaN
+            nearer = (distance < best[0]) | (jnp.isnan(distance) & ~jnp.isnan(best[0]))
+            return jnp.where(nearer, distance, best[0]), jnp.where(nearer, index, best[1])
 
         shape = points.shape[:-1]
-        first = jnp.full(shape, jnp.inf, points.dtype), jnp.zeros(shape, int)
+        floating = jnp.result_type(points, *(getattr(obstacles, name) for name in _MEASURES))
+        first = jnp.full(shape, jnp.inf, floating), jnp.zeros(shape, int)
         return jax.lax.fori_loop(0, obstacles.kind.shape[0], closer, first)
 
     return jax.lax.platform_dependent(obstacles, points, cpu=in_turn, default=at_once)

@@ -114,3 +114,15 @@ def test_another_collections_folder_is_refused(tmp_path):
     with pytest.raises(ValueError, match="seed"):
         collect("toy", trajectories=2, states=3, seed=1, out=tmp_path / "data")
     assert replace(Dataset.open(tmp_path / "data").manifest).config["seed"] == 0
+
+
+def test_data_of_another_scene_are_told(tmp_path, capsys):
+    scene = make_task("toy").scene
+    assert scene.digest == make_task("toy").scene.digest != replace(scene, timestep=0.001).digest
+    collect("toy", trajectories=2, states=3, out=tmp_path / "data")
+    manifest = tmp_path / "data" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace(scene.digest, "0123456789abcdef"))
+    replay(tmp_path / "data")
+    assert "the scene of toy has changed since these were collected" in capsys.readouterr().out
+    with pytest.raises(ValueError, match=r"config.scene: .*0123456789abcdef"):
+        collect("toy", trajectories=2, states=3, out=tmp_path / "data")

@@ -232,6 +232,19 @@ def test_nearest_is_the_first_of_the_least_distances_and_nan_stays_nan():
     np.testing.assert_array_equal(nearest(twice, points), distances(twice, points).argmin(-1))
     assert nearest(twice, points).max() < len(KINDS)
     assert jnp.isnan(distance(once, jnp.array([[jnp.nan, 0.0, 0.0]])))
+    broken = eqx.tree_at(lambda o: o.centre, once, once.centre.at[4].set(jnp.nan))
+    assert (nearest(broken, points) == 4).all()
+    assert jnp.isnan(distance(broken, points)).all() and jnp.isnan(gradient(broken, points)).all()
+
+
+def test_points_and_obstacles_of_different_precision_are_measured_in_the_finer():
+    rng = np.random.default_rng(6)
+    obstacles, points = random_obstacles(rng), jnp.asarray(rng.uniform(-0.9, 0.9, (20, 3)), jnp.float32)
+    with jax.enable_x64(True):
+        fine = jax.tree.map(lambda x: x.astype("float64") if x.dtype == jnp.float32 else x, obstacles)
+        found = signed_distance(fine, points)
+        assert found.dtype == jnp.float64
+        np.testing.assert_allclose(found, signed_distances(fine, points).min(-1), atol=1e-12)
 
 
 def test_moving_the_obstacle_is_moving_the_point_back():
