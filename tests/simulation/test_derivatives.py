@@ -15,6 +15,7 @@ from doojax.simulation.scenes import SolverSettings
 from tests.simulation.scenes import no_start, planar_scene, straight_states
 
 STEP = 1e-6
+QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}  # to compile
 PRESS = np.array([[0.03, 0.0, 0.0]])
 DIRECTIONS = np.array([[[0.0, 1.0, 0.0]], [[0.6, 0.8, 0.0]], [[1.0, 0.0, 0.0]]])
 WEIGHTS = np.array([1.0, 2.0, -3.0, 0.5])  # of the gripper's and the tail's coordinates
@@ -39,8 +40,8 @@ def compiled(iterations):
     def along(state, action, direction):
         return jax.jvp(lambda a: reached(state, a)[0], (action,), (direction,))[1]
 
-    gradient = jax.jit(jax.grad(lambda a, state: WEIGHTS @ reached(state, a)[0]))
-    return scene, jax.jit(reached), jax.jit(along), gradient
+    gradient = jax.grad(lambda a, state: WEIGHTS @ reached(state, a)[0])
+    return scene, *(jax.jit(f, compiler_options=QUICKLY) for f in (reached, along, gradient))
 
 
 def free_and_pressed(scene, reached):
