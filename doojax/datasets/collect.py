@@ -57,8 +57,14 @@ def collect(
     if states < 2:
         raise ValueError(f"states is {states}, expected at least 2: one action leads to a second state")
     engine = resolve_engine(engine)
-    config = {"task": task, "phase": phase, "states": states, "engine": engine, "seed": seed}
-    config["scene"] = the_task.scene.digest
+    config = {
+        "task": task,
+        "scene": the_task.scene.digest,
+        "phase": phase,
+        "states": states,
+        "engine": engine,
+        "seed": seed,
+    }
     writer = DatasetWriter.open(
         out, config=config, schema=schema(the_task, states - 1), n=trajectories, shard_size=SHARD_SIZE
     )

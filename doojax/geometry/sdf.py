@@ -20,7 +20,6 @@ from doojax.types import Obstacles, ShapeKind
 FAR = 1000.0
 """Distance reported to an inactive obstacle, metres: finite, so that losses and gradients stay finite."""
 
-_MEASURES = ("centre", "quaternion", "half_size")
 _SHRINK = 0.55  # of the bracket kept by each step of the search along a segment
 _SEARCH_STEPS = 23  # which leave _SHRINK**23 = 1.1e-6 of the segment
 
@@ -150,15 +149,18 @@ def _nearest(
 
     def in_turn(obstacles: Obstacles, points: Array) -> tuple[Array, Array]:
         # XLA's reduction to a value and its index is scalar code on a CPU: this is several times faster.
+        def distance_to(index):
+            return _distances(jax.tree.map(lambda field: field[index], obstacles), points)
+
         def closer(index, best):
-            distance = _distances(jax.tree.map(lambda field: field[index], obstacles), points)
+            distance = distance_to(index)
             nearer = (distance < best[0]) | (jnp.isnan(distance) & ~jnp.isnan(best[0]))
             return jnp.where(nearer, distance, best[0]), jnp.where(nearer, index, best[1])
 
-        shape = points.shape[:-1]
-        floating = jnp.result_type(points, *(getattr(obstacles, name) for name in _MEASURES))
-        first = jnp.full(shape, jnp.inf, floating), jnp.zeros(shape, int)
-        return jax.lax.fori_loop(0, obstacles.kind.shape[0], closer, first)
+        farthest = jnp.full_like(distance_to(0), jnp.inf)
+        return jax.lax.fori_loop(
+            0, obstacles.kind.shape[0], closer, (farthest, jnp.zeros_like(farthest, int))
+        )
 
     return jax.lax.platform_dependent(obstacles, points, cpu=in_turn, default=at_once)
 
