@@ -28,7 +28,7 @@ from doojax.experiments.reports import Row, row, write_summary
 from doojax.experiments.scenes import draw_scenes
 from doojax.experiments.statistics import bootstrap
 from doojax.models import CollisionChecker
-from doojax.planning import Goal, Problem, Rrt, RrtSettings, plan_of, search
+from doojax.planning import Goal, Problem, Rrt, RrtSettings, search
 from doojax.planning.metric import point_sample, rope_sample
 from doojax.simulation.scenes import parked_poses
 from doojax.simulation.state import SimState
@@ -39,13 +39,14 @@ from doojax.types import Obstacles, RopeState
 
 SEED = 0
 SCENES = 20
+ROUNDS = 5  # in which all scenes are planned
 SETTINGS = RrtSettings()
 THESIS = RrtSettings(goal_bias=0.05, duration=49, candidates=1)
 LONGEST = {"toy": 0.1, "rope_dragging": 0.15, "dual_gripper": 0.1}  # m, of an action
 
 
 class Found(NamedTuple):
-    """One search of one planner."""
+    """One search of one planner, or several side by side."""
 
     seconds: float
     accepted: int
@@ -87,7 +88,9 @@ def planner(
     """Measure accepted extensions per second and seconds to a solution beside OMPL; write results/planning.
 
     Both plan in the same scenes with the same models, taking turns, until the goal is reached in prediction
-    or as many extensions are tried as our planner's default allows. Compilation is not counted.
+    or as many extensions are tried as our planner's default allows: ours one scene after another, and all
+    scenes side by side, which is how trials are evaluated; OMPL knows the former alone. Compilation is not
+    counted.
 
     Args:
         task: toy, which needs no models, rope_dragging or dual_gripper.
@@ -109,8 +112,9 @@ def planner(
         ours = Rrt(chosen.dynamics, chosen.reliability, the_task)
     problems = problems_of(the_task, scenes)
     results = take_turns(ours, problems)
+    together = side_by_side(ours, problems)
     samplers = compare_samplers(ours, problems)
-    rows = speed_rows(task, results) + sampler_rows(task, samplers)
+    rows = speed_rows(task, results) + rate_rows(task, together, scenes) + sampler_rows(task, samplers)
     write_summary(out / "summary.json", command=f"doojax bench planner {task}", seed=SEED, rows=rows)
     table = Table("metric", "tags", "value", "95 % interval", title=f"{task}, {scenes} scenes")
     for one in rows:
@@ -145,13 +149,32 @@ def take_turns(ours: Rrt, problems: Sequence[Problem]) -> dict[str, list[Found]]
     return found
 
 
-def solve(ours: Rrt, problem: Problem) -> Found:
-    """Our planner on one problem."""
+def side_by_side(ours: Rrt, problems: Sequence[Problem]) -> dict[str, list[Found]]:
+    """In each round our planner on all problems at once, and OMPL on one after another."""
+    ompl = Ompl(ours)
+    everything = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *problems)
+    for run, problem in ((partial(solve, ours), everything), (ompl.solve, problems[0])):
+        run(problem)  # compiles
+    found: dict[str, list[Found]] = {"doojax": [], "ompl": []}
+    for number in range(ROUNDS):
+        fold = jax.vmap(partial(jax.random.fold_in, data=number))
+        found["doojax"].append(solve(ours, eqx.tree_at(lambda p: p.key, everything, replace_fn=fold)))
+        each = [ompl.solve(problem) for problem in problems]
+        seconds, accepted, extensions, solved = zip(*each, strict=True)
+        found["ompl"].append(Found(sum(seconds), sum(accepted), sum(extensions), all(solved)))
+    return found
+
+
+def solve(ours: Rrt, problems: Problem) -> Found:
+    """Our planner on a batch of problems."""
     begun = time.perf_counter()
-    tree = jax.block_until_ready(search(ours, problem))
+    tree = jax.block_until_ready(search(ours, problems))
     seconds = time.perf_counter() - begun
-    plan = plan_of(jax.tree.map(lambda leaf: np.asarray(leaf[0]), tree))
-    return Found(seconds, plan.accepted, plan.extensions, plan.status == "solved")
+    used, accepted = np.asarray(tree.used), np.asarray(tree.accepted)
+    filled = np.arange(accepted.shape[1]) < used[:, None]
+    starts = len(used)
+    solved = bool(np.asarray(tree.solved).all())
+    return Found(seconds, int((accepted & filled).sum()) - starts, int(used.sum()) - starts, solved)
 
 
 class Ompl:
@@ -274,6 +297,17 @@ def speed_rows(task: str, results: dict[str, list[Found]]) -> list[Row]:
     ratio = rates["doojax"] / rates["ompl"]
     rows.append(_row("extensions_speedup", {"task": task, "against": "ompl"}, ratio, "", np.median))
     return rows
+
+
+def rate_rows(task: str, results: dict[str, list[Found]], scenes: int) -> list[Row]:
+    """The rate where all scenes are planned side by side, and how many times OMPL's that is."""
+    rates = {name: np.array([one.accepted / one.seconds for one in found]) for name, found in results.items()}
+    tags = {"task": task, "scenes_at_once": scenes}
+    ratio = rates["doojax"] / rates["ompl"]
+    return [
+        _row("extensions_per_s", {"planner": "doojax", **tags}, rates["doojax"], "1/s", np.median),
+        _row("extensions_speedup", {"against": "ompl", **tags}, ratio, "", np.median),
+    ]
 
 
 def sampler_rows(task: str, extensions: dict[str, np.ndarray]) -> list[Row]:

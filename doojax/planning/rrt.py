@@ -12,6 +12,7 @@ and every budget counts extensions.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
@@ -21,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from doojax.models.protocols import Dynamics, Reliability
+from doojax.parts import in_parts, splits
 from doojax.planning.goals import bodies_of
 from doojax.planning.metric import Sampler, nearest, rope_sample
 from doojax.planning.tree import Problem, Tree
@@ -94,8 +96,14 @@ class Rrt(eqx.Module):
 def search(planner: Rrt, problem: Problem) -> Tree:
     """Grow a tree for each of R problems, side by side, until it is done or the budget is spent.
 
-    The trees of a batch do not depend on one another.
+    The trees of a batch do not depend on one another. On a CPU each processor grows one at a time.
     """
+    if not isinstance(planner.dynamics, HostDynamics) and splits(1, problem):
+        return in_parts(partial(_search, planner), 1, problem)
+    return _search(planner, problem)
+
+
+def _search(planner: Rrt, problem: Problem) -> Tree:
     settings = planner.settings
     grow = _grow_outside if isinstance(planner.dynamics, HostDynamics) else _grow
     tree, lanes = _start(planner.task, settings, problem)

@@ -187,13 +187,16 @@ def test_a_simulator_outside_of_jit_grows_the_tree_that_it_grows_inside():
     starts = simulated_start(simulator, states)
     two = batch(problem(goal=(0.4, -0.3)), problem())
     two = eqx.tree_at(lambda p: p.start, two, starts)
+    alone = jax.jit(lambda i: jax.tree.map(lambda leaf: leaf[i][None], two))
+    each = [alone(0), alone(1)]  # because batches of different sizes are rounded differently
 
     class Outside:  # hides that the simulator is a pytree
         def __init__(self, inner):
             for name in ("reset", "step", "observe", "observations", "obstacles", "rollout"):
                 setattr(self, name, getattr(inner, name))
 
-    trees = [search(Rrt(simulated(one), BLIND, TOY, SMALL), two) for one in (simulator, Outside(simulator))]
+    planners = [Rrt(simulated(one), BLIND, TOY, SMALL) for one in (simulator, Outside(simulator))]
+    trees = [[search(planner, one) for one in each] for planner in planners]
     for inside, outside in zip(*map(jax.tree.leaves, trees), strict=True):
         if inside.dtype == bool or jnp.issubdtype(inside.dtype, jnp.integer):
             assert np.array_equal(inside, outside)

@@ -41,7 +41,7 @@ def compiled(iterations):
         return jax.jvp(lambda a: reached(state, a)[0], (action,), (direction,))[1]
 
     gradient = jax.grad(lambda a, state: WEIGHTS @ reached(state, a)[0])
-    return scene, *(jax.jit(f, compiler_options=QUICKLY) for f in (reached, along, gradient))
+    return scene, *(jax.jit(f, compiler_options=QUICKLY) for f in (reached, along, gradient))  # when called
 
 
 def free_and_pressed(scene, reached):
@@ -65,15 +65,13 @@ def slope(reached, state, direction):
     return (ahead - behind) / (2 * STEP)
 
 
-def test_forward_and_reverse_mode_agree_with_finite_differences(x64):
-    scene, reached, along, gradient = compiled(iterations=1)
+def test_reverse_mode_agrees_with_finite_differences_where_the_solver_has_one_iteration(x64):
+    scene, reached, _, gradient = compiled(iterations=1)
     for state in free_and_pressed(scene, reached).values():
         reverse = gradient(PRESS, state)
         for direction in DIRECTIONS:
-            numeric = slope(reached, state, direction)
-            forward = along(state, PRESS, direction)
-            assert jnp.abs(forward - numeric).max() < 1e-5
-            assert abs((reverse * direction).sum() - WEIGHTS @ forward) < 1e-9
+            expected = WEIGHTS @ slope(reached, state, direction)
+            assert (reverse * direction).sum() == pytest.approx(expected, abs=1e-5)
 
 
 def test_forward_mode_agrees_with_finite_differences_where_the_solver_iterates(x64):

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from doojax.parts import in_parts, splits
 from doojax.simulation.build import build_model
 from doojax.simulation.layout import (
     Layout,
@@ -24,6 +25,8 @@ from doojax.types import Obstacles, RopeState, Trajectory
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which is no fault
     from mujoco import mjx
+
+PART = 16  # elements that a thread simulates at once on a CPU
 
 
 class MjxSimulator(eqx.Module):
@@ -101,9 +104,17 @@ class MjxSimulator(eqx.Module):
         """The primitives of the obstacles where they are."""
         return obstacles_at(self.scene, state.obstacle_position, state.obstacle_quaternion)
 
-    @eqx.filter_jit
     def rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
-        """T control periods of B elements: the bulk path. Returns the last states and all that was seen."""
+        """T control periods of B elements: the bulk path. Returns the last states and all that was seen.
+
+        Outside of jit a CPU simulates large batches in parts, with all its processors.
+        """
+        if self.model.impl == mjx.Impl.JAX and splits(PART, states, actions):
+            return in_parts(self._rollout, PART, states, actions)
+        return self._rollout(states, actions)
+
+    @eqx.filter_jit
+    def _rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
         return jax.vmap(self._rollout_one)(states, actions)
 
     def _rollout_one(self, state: SimState, actions: Float[Array, "T G 3"]) -> tuple[SimState, Trajectory]:

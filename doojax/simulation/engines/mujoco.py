@@ -4,6 +4,7 @@ import contextlib
 import copy
 import os
 from collections.abc import Iterator
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -44,7 +45,6 @@ class MujocoSimulator:
         self._pool = Rollout(nthread=threads)
         self._pool_data = [copy.copy(self._data) for _ in range(max(threads, 1))]
         self._models = [copy.copy(self._model) for _ in range(BATCH)]
-        self._measure = jax.jit(jax.vmap(self._measure_one))
 
     def reset(self, key: Array) -> SimState:
         """A start drawn from the task's distribution."""
@@ -83,48 +83,42 @@ class MujocoSimulator:
         Two periods in one call equal two calls with one, bit for bit: a trajectory can be replayed from its
         first state and its actions.
         """
-        batch = actions.shape[0]
-        parts = []
-        for first in range(0, batch, BATCH):
-            part = jax.tree.map(lambda leaf, f=first: leaf[f : f + BATCH], (states, actions))
+        host, parts = jax.tree.map(np.asarray, (states, actions)), []
+        for first in range(0, len(actions), BATCH):
+            part = jax.tree.map(lambda leaf, f=first: leaf[f : f + BATCH], host)
             parts.append(self._rollout_part(*part))
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+        return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
 
     def _rollout_part(
-        self, states: SimState, actions: Float[Array, "B T G 3"]
+        self, states: SimState, actions: Float[np.ndarray, "B T G 3"]
     ) -> tuple[SimState, Trajectory]:
         batch, periods = actions.shape[:2]
-        host = jax.tree.map(np.asarray, states)
-        models = [self._load(i, jax.tree.map(lambda leaf, i=i: leaf[i], host)) for i in range(batch)]
+        models = [self._load(i, jax.tree.map(lambda leaf, i=i: leaf[i], states)) for i in range(batch)]
         nq = self._model.nq
         history = np.zeros((batch, periods + 1, mujoco.mj_stateSize(self._model, STATE)))
-        history[:, 0, 1:] = np.concatenate([host.qpos, host.qvel], axis=1)
+        history[:, 0, 1:] = np.concatenate([states.qpos, states.qvel], axis=1)
         commands = np.asarray(actions, dtype=np.float64)[..., : self.layout.gripper_qpos.shape[1]]
         for period in range(periods):
             start = history[:, period, 1 + self.layout.gripper_qpos]
             targets = gripper_targets(self.scene, start, commands[:, period], xp=np)
             with _quiet():
-                steps, _ = self._pool.rollout(models, self._pool_data, history[:, period], targets)
+                # one by one, because contacts make some elements several times as dear as others
+                steps, _ = self._pool.rollout(
+                    models, self._pool_data, history[:, period], targets, chunk_size=1
+                )
             with np.errstate(over="ignore"):  # a state that blew up need not fit into single precision
                 history[:, period + 1] = steps[:, -1].astype(np.float32)  # as SimState holds it: see rollout
         seen = self._read(
             [self._poses(model, own[:, 1 : 1 + nq]) for model, own in zip(models, history, strict=True)]
         )
-        measured = self._measure(states.obstacle_position, states.obstacle_quaternion, states.holding, seen)
+        measured = _measured(self.scene, states, seen)
         physics = history[:, :, 1:].astype(np.float32)
-        qpos, qvel = jnp.asarray(physics[..., :nq]), jnp.asarray(physics[..., nq:])
-        faults = find_faults(qpos[:, 1:], qvel[:, 1:]).astype(jnp.int32)
+        qpos, qvel = physics[..., :nq], physics[..., nq:]
+        faults = _faults(qpos[:, 1:], qvel[:, 1:])
         last = eqx.tree_at(
             lambda s: (s.qpos, s.qvel, s.faults), states, (qpos[:, -1], qvel[:, -1], faults[:, -1])
         )
         return last, Trajectory(seen.rope, jnp.asarray(actions), faults, *measured)
-
-    def _measure_one(self, position, quaternion, holding, seen):
-        obstacles = obstacles_at(self.scene, position, quaternion)
-        return (
-            jax.vmap(lambda o: clearance(self.scene, obstacles, o))(seen),
-            jax.vmap(lambda o: stretch(self.scene, holding, o))(seen),
-        )
 
     def _load(self, index: int, state: SimState) -> mujoco.MjModel:
         """The model of batch element ``index``, with what varies by element written into it."""
@@ -146,7 +140,25 @@ class MujocoSimulator:
                 np.stack(values, dtype=np.float32, casting="same_kind") for values in zip(*poses, strict=True)
             )
         xmat = xmat.reshape(*xpos.shape, 3)
-        return read_observation(self.layout, *(jnp.asarray(v) for v in (sizes, xpos, xmat, sites)))
+        return _observed(self.layout, sizes, xpos, xmat, sites)
+
+
+_observed = jax.jit(read_observation, static_argnums=0)
+_faults = jax.jit(lambda qpos, qvel: find_faults(qpos, qvel).astype(jnp.int32))
+
+
+@partial(jax.jit, static_argnums=0)
+def _measured(scene: Scene, states: SimState, seen: Observation) -> tuple[Array, Array]:
+    """Clearance and stretch of B elements at T + 1 times."""
+
+    def one(state: SimState, seen: Observation) -> tuple[Array, Array]:
+        obstacles = obstacles_at(scene, state.obstacle_position, state.obstacle_quaternion)
+        return (
+            jax.vmap(lambda o: clearance(scene, obstacles, o))(seen),
+            jax.vmap(lambda o: stretch(scene, state.holding, o))(seen),
+        )
+
+    return jax.vmap(one)(states, seen)
 
 
 def write_state(model: mujoco.MjModel, state: SimState) -> None:
