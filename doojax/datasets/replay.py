@@ -67,7 +67,12 @@ def replay(path: Path, /, *, trajectory: int = 0, engine: str = "auto") -> None:
     if path.is_dir():
         dataset = Dataset.open(path)
         task, made_with, state, actions, points, faults = _from_dataset(dataset, trajectory)
-        if dataset.config.get("scene") != make_task(task).scene.digest:
+        scene = dataset.config.get("scene")
+        if scene is None:
+            console.print(
+                f"[yellow]of which scene of {task} these are is not recorded: it may differ[/yellow]"
+            )
+        elif scene != make_task(task).scene.digest:
             console.print(f"[yellow]the scene of {task} has changed since these were collected[/yellow]")
     else:
         task, made_with, state, actions, points, faults = _from_failures(path, trajectory)

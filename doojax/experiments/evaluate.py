@@ -31,7 +31,7 @@ from doojax.tasks import make_task
 from doojax.tasks.base import Task
 
 SEEDS_APART = 100_000  # between the trials of two seeds
-ON_ACCELERATORS = 32  # trials side by side
+ON_CPU, ON_ACCELERATORS = 8, 32  # trials side by side
 PLANNING, BUDGET = RrtSettings(), TrialSettings()
 
 
@@ -69,7 +69,7 @@ def evaluate(
         engine: that executes: auto, mujoco, mjx or warp.
         planning: how a tree is grown.
         budget: when a trial ends.
-        side_by_side: trials in one batch; by default 1 on a CPU and 32 on an accelerator.
+        side_by_side: trials in one batch; by default 8 on a CPU and 32 on an accelerator.
         keep_trees: record all that was tried in every search (megabytes a trial).
 
     Raises:
@@ -85,13 +85,14 @@ def evaluate(
     found = find_models(models, task)
     needed = {name: needed_models(name, found) for name in dict.fromkeys(methods)}
     trials = len(scene_set) if trials is None else trials
-    side_by_side = side_by_side or (1 if jax.default_backend() == "cpu" else ON_ACCELERATORS)
+    side_by_side = side_by_side or (ON_CPU if jax.default_backend() == "cpu" else ON_ACCELERATORS)
     if scene_set.task != task:
         raise ValueError(f"{path} holds scenes of {scene_set.task}, not of {task}")
     if not 1 <= trials <= len(scene_set):
         raise ValueError(f"trials is {trials}, expected 1 to {len(scene_set)}, the number of scenes")
     config = {
         "task": task,
+        "scene": the_task.scene.digest,
         "scenes": file_digest(path)[:16],
         "seed": seed,
         "engine": engine,

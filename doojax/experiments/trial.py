@@ -5,8 +5,10 @@ trial is counted in searches and actions, so that results do not depend on the m
 planning took are noted beside.
 """
 
+import os
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -162,8 +164,12 @@ def run_trials(
         seconds = (time.perf_counter() - begun) / running.sum()
 
         moves = [Moves(np.zeros((0, task.grippers, 3), np.float32))] * len(logs)
-        for i in np.flatnonzero(running).tolist():
-            plan = _noted_plan(logs[i], planner, _element((problem, trees), i), seconds, keep_trees)
+        searched = np.flatnonzero(running).tolist()
+        found = [(logs[i], planner, _element((problem, trees), i), seconds, keep_trees) for i in searched]
+        alone = isinstance(method.dynamics, HostDynamics)  # a simulator in C is busy with one at a time
+        with ThreadPoolExecutor(1 if alone else len(os.sched_getaffinity(0))) as pool:
+            plans = list(pool.map(_noted_plan, *zip(*found, strict=True)))
+        for i, plan in zip(searched, plans, strict=True):
             if not execute:
                 logs[i].stop(NOT_EXECUTED)
             elif plan.status != "stuck":

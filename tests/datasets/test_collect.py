@@ -2,6 +2,7 @@
 
 import hashlib
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -126,3 +127,6 @@ def test_data_of_another_scene_are_told(tmp_path, capsys):
     assert "the scene of toy has changed since these were collected" in capsys.readouterr().out
     with pytest.raises(ValueError, match=r"config.scene: .*0123456789abcdef"):
         collect("toy", trajectories=2, states=3, out=tmp_path / "data")
+    manifest.write_text(re.sub(r'"scene": "0123456789abcdef",', "", manifest.read_text()))
+    replay(tmp_path / "data")
+    assert "of which scene of toy these are is not recorded" in capsys.readouterr().out

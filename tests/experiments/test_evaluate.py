@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -174,6 +175,11 @@ def test_what_does_not_fit_is_refused(run, whole, scenes, tmp_path):
 
     with pytest.raises(ValueError, match=r"holds another evaluation .*\n  seed: 0 -> 1\n"):
         run(whole, seed=1)
+    shutil.copytree(whole, tmp_path / "older")
+    config = tmp_path / "older" / "config.json"
+    config.write_text(config.read_text().replace(TOY.scene.digest, "0123456789abcdef"))
+    with pytest.raises(ValueError, match=r"\n  scene: '0123456789abcdef' -> "):
+        run(tmp_path / "older")
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "notes.txt").touch()
     with pytest.raises(ValueError, match=r"is not an evaluation: it holds notes.txt"):
