@@ -1,12 +1,12 @@
-"""A batch in small parts, a thread for each processor: on a CPU faster than the whole batch in one call.
+"""Work for all processors: a batch in small parts, a thread for each processor.
 
-What a part needs stays in a core's cache; a loop runs for as long as its slowest element, so that fewer
-elements wait for one another; and XLA, which cuts each operation of a large batch up among threads, gains
-little by that where operations are short.
+On a CPU that is usually faster than the whole batch in one call. What a part needs stays in a core's cache; a
+loop runs for as long as its slowest element, so that fewer elements wait for one another; and XLA, which cuts
+each operation of a large batch up among threads, gains little by that where operations are short.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -17,10 +17,34 @@ import numpy as np
 from jax.core import Tracer
 
 
-def splits(size: int, *arguments: Any) -> bool:
-    """Would `in_parts` be faster than one call? Never on an accelerator, nor while JAX traces the caller."""
-    leaves = jax.tree.leaves(arguments)
-    traced = any(isinstance(leaf, Tracer) for leaf in leaves)
+def processors() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_threads[T, R](function: Callable[[T], R], items: Iterable[T], threads: int | None = None) -> list[R]:
+    """``function`` of each item, in the items' order; by default one thread for each processor.
+
+    Threads compute in the caller's precision and on the caller's default device, which JAX would forget. The
+    first error is raised when what had begun has ended.
+    """
+    wide, device = jax.config.jax_enable_x64, jax.config.jax_default_device
+
+    def run(item: T) -> R:
+        with jax.enable_x64(wide), jax.default_device(device):
+            return function(item)
+
+    with ThreadPoolExecutor(threads or processors()) as pool:
+        return list(pool.map(run, items))
+
+
+def worth_parts(size: int, batch: Any, *others: Any) -> bool:
+    """Is ``batch`` larger than a part, and a call of `in_parts` wise?
+
+    It is not on an accelerator, nor while JAX traces: ``others`` is what else might be traced.
+    """
+    leaves = jax.tree.leaves(batch)
+    traced = any(isinstance(leaf, Tracer) for leaf in (*leaves, *jax.tree.leaves(others), jnp.zeros(())))
     return not traced and len(leaves[0]) > size and jax.default_backend() == "cpu"
 
 
@@ -32,19 +56,23 @@ def in_parts(function: Callable[..., Any], size: int, *arguments: Any) -> Any:
             such a tree, without random keys.
         size: of a part; all parts have it, so that one is compiled.
         arguments: at least ``size`` elements of each.
+
+    Returns:
+        the whole batch's results, on the default device.
+
+    Raises:
+        ValueError: if the arguments differ in length, or are shorter than a part.
     """
-    batch = len(jax.tree.leaves(arguments)[0])
+    lengths = {len(leaf) for leaf in jax.tree.leaves(arguments)}
+    if len(lengths) != 1 or min(lengths) < size:
+        raise ValueError(
+            f"the first axes have lengths {sorted(lengths)}, expected one length, of at least {size}"
+        )
+    (batch,) = lengths
     firsts = range(0, batch, size)
     # The last part overlaps the one before, lest it has another shape.
     pieces = [_piece(arguments, size, jnp.asarray(min(first, batch - size))) for first in firsts]
-    wide, device = jax.config.jax_enable_x64, jax.config.jax_default_device
-
-    def run(piece: Any) -> Any:
-        with jax.enable_x64(wide), jax.default_device(device):  # a thread begins without them
-            return jax.tree.map(np.asarray, function(*piece))
-
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        found = list(pool.map(run, pieces))
+    found = in_threads(lambda piece: jax.tree.map(np.asarray, function(*piece)), pieces)
     known = size * len(firsts) - batch  # elements that the last part has twice
     found[-1] = jax.tree.map(lambda leaf: leaf[known:], found[-1])
     return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *found)

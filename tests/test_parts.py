@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from doojax.parts import in_parts, splits
+from doojax.parts import in_parts, in_threads, worth_parts
 
 SIZE = 3
 
@@ -58,9 +58,24 @@ def test_what_goes_wrong_in_a_part_goes_wrong():
         in_parts(fail, SIZE, jnp.zeros(7))
 
 
-def test_one_part_is_not_split_nor_is_what_jax_traces():
-    seen = []
-    assert splits(2, jnp.zeros(3), {"x": np.zeros(3)})
-    assert not splits(3, jnp.zeros(3))
-    jax.jit(lambda x: seen.append(splits(2, x)))(jnp.zeros(3))
-    assert seen == [False]
+def test_batches_that_do_not_fit_together_are_refused():
+    with pytest.raises(ValueError, match=r"lengths \[4, 5\], expected one length, of at least 3"):
+        in_parts(jnp.add, SIZE, jnp.zeros(5), jnp.zeros(4))
+    with pytest.raises(ValueError, match=r"lengths \[2\], expected one length, of at least 3"):
+        in_parts(jnp.sin, SIZE, jnp.zeros(2))
+
+
+def test_threads_are_as_many_as_asked_for():
+    found = in_threads(lambda item: (item, threading.get_ident()), range(6), threads=1)
+    assert [item for item, _ in found] == list(range(6))
+    assert len({thread for _, thread in found}) == 1
+
+
+def test_one_part_is_not_split_nor_anything_while_jax_traces():
+    batch, seen = jnp.zeros(3), []
+    assert worth_parts(2, batch, {"x": np.zeros(1)})
+    assert not worth_parts(3, batch)
+    jax.jit(lambda x: seen.append(worth_parts(2, x)))(batch)
+    jax.grad(lambda x: seen.append(worth_parts(2, batch, x)) or x)(1.0)
+    jax.jit(lambda: seen.append(worth_parts(2, batch)))()
+    assert seen == [False] * 3

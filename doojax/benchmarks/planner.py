@@ -46,7 +46,7 @@ LONGEST = {"toy": 0.1, "rope_dragging": 0.15, "dual_gripper": 0.1}  # m, of an a
 
 
 class Found(NamedTuple):
-    """One search of one planner, or several side by side."""
+    """One search of one planner, or all of a round; ``solved`` if all were."""
 
     seconds: float
     accepted: int
@@ -88,9 +88,11 @@ def planner(
     """Measure accepted extensions per second and seconds to a solution beside OMPL; write results/planning.
 
     Both plan in the same scenes with the same models, taking turns, until the goal is reached in prediction
-    or as many extensions are tried as our planner's default allows: ours one scene after another, and all
-    scenes side by side, which is how trials are evaluated; OMPL knows the former alone. Compilation is not
-    counted.
+    or as many extensions are tried as our planner's default allows. Compilation is not counted.
+
+    First one scene after another, as OMPL does. Then ours all scenes at once, as when trials are evaluated,
+    with all processors, and OMPL again one after another, in one process, which is what it can do: rates are
+    those of all scenes together, and their intervals say how rounds in the same scenes differ.
 
     Args:
         task: toy, which needs no models, rope_dragging or dual_gripper.
@@ -111,8 +113,9 @@ def planner(
         chosen = make_method(method, the_task, the_task.simulator(), found)
         ours = Rrt(chosen.dynamics, chosen.reliability, the_task)
     problems = problems_of(the_task, scenes)
-    results = take_turns(ours, problems)
-    together = side_by_side(ours, problems)
+    ompl = Ompl(ours)
+    results = take_turns(ours, ompl, problems)
+    together = side_by_side(ours, ompl, problems)
     samplers = compare_samplers(ours, problems)
     rows = speed_rows(task, results) + rate_rows(task, together, scenes) + sampler_rows(task, samplers)
     write_summary(out / "summary.json", command=f"doojax bench planner {task}", seed=SEED, rows=rows)
@@ -134,11 +137,11 @@ def problems_of(task: Task, count: int) -> list[Problem]:
     return [jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], everything) for i in range(count)]
 
 
-def take_turns(ours: Rrt, problems: Sequence[Problem]) -> dict[str, list[Found]]:
+def take_turns(ours: Rrt, ompl: "Ompl", problems: Sequence[Problem]) -> dict[str, list[Found]]:
     """Each planner on each problem, once the first one has been solved to compile everything."""
     planners: dict[str, Callable[[Problem], Found]] = {
         "doojax": partial(solve, ours),
-        "ompl": Ompl(ours).solve,
+        "ompl": ompl.solve,
     }
     for run in planners.values():
         run(problems[0])
@@ -149,12 +152,9 @@ def take_turns(ours: Rrt, problems: Sequence[Problem]) -> dict[str, list[Found]]
     return found
 
 
-def side_by_side(ours: Rrt, problems: Sequence[Problem]) -> dict[str, list[Found]]:
+def side_by_side(ours: Rrt, ompl: "Ompl", problems: Sequence[Problem]) -> dict[str, list[Found]]:
     """In each round our planner on all problems at once, and OMPL on one after another."""
-    ompl = Ompl(ours)
     everything = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *problems)
-    for run, problem in ((partial(solve, ours), everything), (ompl.solve, problems[0])):
-        run(problem)  # compiles
     found: dict[str, list[Found]] = {"doojax": [], "ompl": []}
     for number in range(ROUNDS):
         fold = jax.vmap(partial(jax.random.fold_in, data=number))
@@ -300,12 +300,12 @@ def speed_rows(task: str, results: dict[str, list[Found]]) -> list[Row]:
 
 
 def rate_rows(task: str, results: dict[str, list[Found]], scenes: int) -> list[Row]:
-    """The rate where all scenes are planned side by side, and how many times OMPL's that is."""
+    """The rates where we plan all scenes side by side, and how many times OMPL's ours is."""
     rates = {name: np.array([one.accepted / one.seconds for one in found]) for name, found in results.items()}
-    tags = {"task": task, "scenes_at_once": scenes}
+    tags = {"task": task, "all_scenes": scenes}
     ratio = rates["doojax"] / rates["ompl"]
     return [
-        _row("extensions_per_s", {"planner": "doojax", **tags}, rates["doojax"], "1/s", np.median),
+        *(_row("extensions_per_s", {"planner": p, **tags}, rates[p], "1/s", np.median) for p in rates),
         _row("extensions_speedup", {"against": "ompl", **tags}, ratio, "", np.median),
     ]
 

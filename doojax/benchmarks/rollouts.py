@@ -3,11 +3,11 @@
 Arithmetic and bytes, for `rope_dragging` (15 degrees of freedom, up to 48 contact rows, 30 friction rows): a
 Newton iteration builds and factors a 15 x 15 matrix from 80 rows, 2 x 80 x 15^2 / 2 operations and some, and
 a step has one to six of them: some 0.1 million operations, 5 microseconds of one core at 20 GFLOP/s. MuJoCo C
-needs six times that, in cache. MJX holds every intermediate of the whole batch: some 60 kB an element, so a
-batch of 1,024 streams 60 MB through memory several times a step, and that is what it waits for on a CPU.
+needs six times that, in cache. MJX holds every intermediate of a whole batch, some 60 kB an element: 1,024
+would stream 60 MB through memory several times a step, so on a CPU they are simulated in parts of 16, one a
+processor.
 """
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +20,7 @@ from rich.console import Console
 
 from doojax.datasets.collect import random_trajectories
 from doojax.experiments.reports import row, show, write_summary
+from doojax.parts import processors
 from doojax.simulation.engines import available_engines, resolve_engine
 from doojax.simulation.engines.bare import bare_rollout
 from doojax.simulation.state import SimState, Simulator
@@ -114,7 +115,7 @@ def measure(
     compiled: dict[str, float],
 ) -> dict[str, list[float]]:
     """Physics steps per second of each engine in each round; also notes how long each took to compile."""
-    threads = len(os.sched_getaffinity(0))
+    threads = processors()
     batch = actions.shape[0]
     few_states, few_actions = jax.tree.map(lambda leaf: leaf[:MOST_ON_C], (states, actions))
     runs: dict[str, Callable[[], Any]] = {BARE: bare_rollout(task.scene, few_states, few_actions, threads)}

@@ -241,10 +241,9 @@ def device() -> str:
     """What this process computes on: the GPU that JAX uses, if any, and the CPU with its usable cores."""
     import jax  # here, because reading a summary needs no JAX
 
-    try:
-        cores = len(os.sched_getaffinity(0))
-    except AttributeError:  # not Linux
-        cores = os.cpu_count() or 1
+    from doojax.parts import processors
+
+    cores = processors()
     try:
         models = re.findall(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
     except OSError:

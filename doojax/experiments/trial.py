@@ -5,10 +5,8 @@ trial is counted in searches and actions, so that results do not depend on the m
 planning took are noted beside.
 """
 
-import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -20,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from doojax.experiments.records import Event, EventKind, Look, PlanRecord, TrialRecord
 from doojax.models.protocols import Dynamics, Recovery, Reliability
+from doojax.parts import in_threads
 from doojax.planning import (
     Goal,
     HostDynamics,
@@ -40,6 +39,7 @@ from doojax.types import Obstacles, RopeState
 REACHED = "goal reached"
 CRASHED = "crashed"
 NOT_EXECUTED = "the plan was not to be executed"
+NOT_WANTED = "not wanted"
 STUCK = "stuck, and there is no recovery"
 BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
@@ -106,7 +106,7 @@ class Log:
     events: list[Event] = field(default_factory=list)
     recoveries: int = 0
     extensions: int = 0
-    plan_s: float = 0.0
+    plan_s: float = 0.0  # of searches and shortcuts; side by side, each trial's share of what all took
     end: str | None = None
 
     def note(self, kind: EventKind, text: str) -> None:
@@ -129,6 +129,7 @@ def run_trials(
     *,
     keep_trees: bool = False,
     execute: bool = True,
+    wanted: Sequence[bool] | None = None,
 ) -> list[TrialRecord]:
     """Run R trials side by side.
 
@@ -141,6 +142,7 @@ def run_trials(
         trials: from where to where.
         keep_trees: record all that the searches tried, not only the plans.
         execute: false to end every trial after its first search.
+        wanted: which trials are; the others fill up the batch and end at once.
 
     Returns:
         R records; their ``replay`` holds what `replay` needs, their ``about`` counts and seconds.
@@ -151,6 +153,9 @@ def run_trials(
     keys = jax.vmap(jax.random.key)(jnp.asarray(trials.seeds))
     rope = observed(simulator, states)
     logs = [Log([p], [g]) for p, g in zip(np.asarray(rope.points), np.asarray(rope.grippers), strict=True)]
+    for log, run in zip(logs, wanted or [True] * len(logs), strict=True):
+        if not run:
+            log.stop(NOT_WANTED)
     for turn in range(settings.searches + 1):
         _judge(logs, goals, rope, turn, settings)
         running = np.array([log.end is None for log in logs])
@@ -161,15 +166,15 @@ def run_trials(
         aims = eqx.tree_at(lambda g: g.tolerance, goals, jnp.where(running, goals.tolerance, ANYWHERE))
         problem = Problem(obstacles, method.begin(simulator, states), aims, search_keys)
         trees = jax.tree.map(np.asarray, search(planner, problem))
-        seconds = (time.perf_counter() - begun) / running.sum()
 
         moves = [Moves(np.zeros((0, task.grippers, 3), np.float32))] * len(logs)
         searched = np.flatnonzero(running).tolist()
-        found = [(logs[i], planner, _element((problem, trees), i), seconds, keep_trees) for i in searched]
-        alone = isinstance(method.dynamics, HostDynamics)  # a simulator in C is busy with one at a time
-        with ThreadPoolExecutor(1 if alone else len(os.sched_getaffinity(0))) as pool:
-            plans = list(pool.map(_noted_plan, *zip(*found, strict=True)))
+        found = [(logs[i], planner, _element((problem, trees), i), keep_trees) for i in searched]
+        threads = 1 if isinstance(method.dynamics, HostDynamics) else None  # one simulator in C, one thread
+        plans = in_threads(lambda one: _noted_plan(*one), found, threads)
+        share = (time.perf_counter() - begun) / len(searched)
         for i, plan in zip(searched, plans, strict=True):
+            logs[i].plan_s += share
             if not execute:
                 logs[i].stop(NOT_EXECUTED)
             elif plan.status != "stuck":
@@ -263,15 +268,11 @@ def _judge(logs: Sequence[Log], goals: Goal, rope: RopeState, turn: int, setting
             log.stop(f"{settings.searches} searches did not suffice")
 
 
-def _noted_plan(
-    log: Log, planner: Rrt, found: tuple[Problem, Tree], seconds: float, keep_trees: bool
-) -> Plan:
-    begun = time.perf_counter()
+def _noted_plan(log: Log, planner: Rrt, found: tuple[Problem, Tree], keep_trees: bool) -> Plan:
     problem, tree = found
     plan = plan_of(tree)
     before = len(plan.actions)
     tree, plan = shortened(planner, problem, tree, plan)
-    log.plan_s += seconds + time.perf_counter() - begun
     log.extensions += plan.extensions
     log.plans.append(record_plan(tree, plan, len(log.actions), whole=keep_trees))
     ends = f"{100 * plan.goal_distance:.1f} cm from the goal"

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from doojax.models.protocols import Dynamics, Reliability
-from doojax.parts import in_parts, splits
+from doojax.parts import in_parts, worth_parts
 from doojax.planning.goals import bodies_of
 from doojax.planning.metric import Sampler, nearest, rope_sample
 from doojax.planning.tree import Problem, Tree
@@ -98,7 +98,7 @@ def search(planner: Rrt, problem: Problem) -> Tree:
 
     The trees of a batch do not depend on one another. On a CPU each processor grows one at a time.
     """
-    if not isinstance(planner.dynamics, HostDynamics) and splits(1, problem):
+    if not isinstance(planner.dynamics, HostDynamics) and worth_parts(1, problem, planner):
         return in_parts(partial(_search, planner), 1, problem)
     return _search(planner, problem)
 

@@ -27,6 +27,16 @@ class Layout:
     gripper_qpos: np.ndarray  # [G, D] addresses of the world coordinates; D is 2 in a planar scene
     hold_sites: np.ndarray  # [G] on the rope
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Layout) and self._values == other._values
+
+    def __hash__(self) -> int:
+        return hash(self._values)
+
+    @property
+    def _values(self) -> tuple:
+        return tuple((np.shape(value), np.asarray(value).tobytes()) for value in vars(self).values())
+
     @classmethod
     def of(cls, scene: Scene, model: "mujoco.MjModel") -> "Layout":
         """Look the names up once."""

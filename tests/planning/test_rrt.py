@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doojax.planning import Rrt, RrtSettings, check_problem, plan_of, search, simulated, simulated_start
-from doojax.planning.rrt import propagate
+from doojax.planning.rrt import _search, propagate
 
 from .problems import BLIND, CAREFUL, SIDE_BY_SIDE, TIMID, TOY, TRACES, Towed, batch, element, problem, walls
 
@@ -121,7 +121,8 @@ def test_the_same_seed_gives_the_same_tree_and_another_does_not():
     assert digest(first) == digest(again) != digest(other)
 
 
-def test_a_tree_does_not_depend_on_its_neighbours():
+@pytest.mark.parametrize("search", [search, _search])  # in parts, and as accelerators do
+def test_a_tree_does_not_depend_on_its_neighbours(search):
     around = walls(centre=(-0.3, 0.0), half=(0.4, 0.4))
     one, other = (
         search(PLANNER, batch(problem(goal=(0.4, -0.3), seed=5), neighbour))
@@ -202,6 +203,15 @@ def test_a_simulator_outside_of_jit_grows_the_tree_that_it_grows_inside():
             assert np.array_equal(inside, outside)
         else:
             assert np.asarray(inside) == pytest.approx(np.asarray(outside), abs=1e-6, nan_ok=True)
+
+    several = jax.tree.map(lambda leaf: jnp.repeat(leaf[:, None], 3, axis=1), starts)
+    actions = jnp.linspace(-0.05, 0.05, 9 * SIDE_BY_SIDE).reshape(SIDE_BY_SIDE, 3, 1, 3)
+    dynamics = planners[1].dynamics
+    both, _ = dynamics.many(two.obstacles, several, actions)
+    for i, one in enumerate(each):
+        own = jax.tree.map(lambda leaf, i=i: leaf[i][None], several)
+        after, _ = dynamics.many(one.obstacles, own, actions[i][None])
+        assert np.asarray(after.points[0]) == pytest.approx(np.asarray(both.points[i]), abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,16 @@ def test_free_motion_agrees_within_a_millimetre_after_a_second(scene, on_mujoco,
     np.testing.assert_allclose(moved, 0.24, atol=0.002)
 
 
+def test_a_batch_in_parts_is_the_batch(scene, on_mjx, actions, monkeypatch):
+    states = straight_states(scene, BATCH)
+    whole = on_mjx.rollout(states, actions)
+    monkeypatch.setattr("doojax.simulation.engines.mjx.PART", 3)
+    parts = on_mjx.rollout(states, actions)
+    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
+        assert one.dtype == other.dtype
+        np.testing.assert_allclose(one, other, atol=1e-4)  # rounded differently
+
+
 def test_a_cube_stops_the_gripper_on_both_engines(scene, on_mujoco, on_mjx, actions):
     states = with_cube(straight_states(scene, BATCH), x=0.2, y=0.0)  # its face is 3 cm ahead of the gripper
     straight = jnp.tile(actions[:1], (BATCH, 1, 1, 1))

@@ -33,4 +33,4 @@ def bare_rollout(
     commands = np.asarray(actions, dtype=float)[..., : layout.gripper_qpos.shape[1]]
     targets = gripper_targets(scene, initial[:, 1 + layout.gripper_qpos], commands, xp=np)
     pool, data = Rollout(nthread=threads), [mujoco.MjData(model) for _ in range(threads)]
-    return lambda: pool.rollout(models, data, initial, targets)[0]
+    return lambda: pool.rollout(models, data, initial, targets, chunk_size=1)[0]

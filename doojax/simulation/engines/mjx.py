@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from doojax.parts import in_parts, splits
+from doojax.parts import in_parts, worth_parts
 from doojax.simulation.build import build_model
 from doojax.simulation.layout import (
     Layout,
@@ -109,7 +109,7 @@ class MjxSimulator(eqx.Module):
 
         Outside of jit a CPU simulates large batches in parts, with all its processors.
         """
-        if self.model.impl == mjx.Impl.JAX and splits(PART, states, actions):
+        if self.model.impl == mjx.Impl.JAX and worth_parts(PART, (states, actions), self):
             return in_parts(self._rollout, PART, states, actions)
         return self._rollout(states, actions)
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import copy
-import os
 from collections.abc import Iterator
 from functools import partial
 
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from mujoco.rollout import Rollout
 
+from doojax.parts import processors
 from doojax.simulation.build import build_model
 from doojax.simulation.layout import (
     Layout,
@@ -41,7 +41,7 @@ class MujocoSimulator:
         self._model = build_model(scene)
         self.layout = Layout.of(scene, self._model)
         self._data = mujoco.MjData(self._model)
-        threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        threads = processors() if threads is None else threads
         self._pool = Rollout(nthread=threads)
         self._pool_data = [copy.copy(self._data) for _ in range(max(threads, 1))]
         self._models = [copy.copy(self._model) for _ in range(BATCH)]
