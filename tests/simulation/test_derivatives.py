@@ -65,13 +65,15 @@ def slope(reached, state, direction):
     return (ahead - behind) / (2 * STEP)
 
 
-def test_reverse_mode_agrees_with_finite_differences_where_the_solver_has_one_iteration(x64):
-    scene, reached, _, gradient = compiled(iterations=1)
+def test_forward_and_reverse_mode_agree_with_finite_differences(x64):
+    scene, reached, along, gradient = compiled(iterations=1)
     for state in free_and_pressed(scene, reached).values():
         reverse = gradient(PRESS, state)
         for direction in DIRECTIONS:
             numeric = slope(reached, state, direction)
-            assert abs((reverse * direction).sum() - WEIGHTS @ numeric) < 1e-5
+            forward = along(state, PRESS, direction)
+            assert jnp.abs(forward - numeric).max() < 1e-5
+            assert abs((reverse * direction).sum() - WEIGHTS @ forward) < 1e-9
 
 
 def test_forward_mode_agrees_with_finite_differences_where_the_solver_iterates(x64):
