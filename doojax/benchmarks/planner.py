@@ -117,7 +117,8 @@ def planner(
     results = take_turns(ours, ompl, problems)
     together = side_by_side(ours, ompl, problems)
     samplers = compare_samplers(ours, problems)
-    rows = speed_rows(task, results) + rate_rows(task, together, scenes) + sampler_rows(task, samplers)
+    rows = rate_rows(results, task=task) + solution_rows(task, results)
+    rows += rate_rows(together, task=task, all_scenes=scenes) + sampler_rows(task, samplers)
     write_summary(out / "summary.json", command=f"doojax bench planner {task}", seed=SEED, rows=rows)
     table = Table("metric", "tags", "value", "95 % interval", title=f"{task}, {scenes} scenes")
     for one in rows:
@@ -170,11 +171,9 @@ def solve(ours: Rrt, problems: Problem) -> Found:
     begun = time.perf_counter()
     tree = jax.block_until_ready(search(ours, problems))
     seconds = time.perf_counter() - begun
-    used, accepted = np.asarray(tree.used), np.asarray(tree.accepted)
-    filled = np.arange(accepted.shape[1]) < used[:, None]
-    starts = len(used)
-    solved = bool(np.asarray(tree.solved).all())
-    return Found(seconds, int((accepted & filled).sum()) - starts, int(used.sum()) - starts, solved)
+    starts = len(tree.used)
+    accepted, extensions = int(tree.accepted.sum()) - starts, int(tree.used.sum()) - starts
+    return Found(seconds, accepted, extensions, bool(tree.solved.all()))
 
 
 class Ompl:
@@ -281,33 +280,29 @@ def compare_samplers(ours: Rrt, problems: Sequence[Problem]) -> dict[str, np.nda
     return found
 
 
-def speed_rows(task: str, results: dict[str, list[Found]]) -> list[Row]:
-    """Rates and times, and how many times faster we are."""
-    rows, rates = [], {}
+def rate_rows(results: dict[str, list[Found]], **tags: str | int) -> list[Row]:
+    """Accepted extensions per second, and how many times OMPL's ours are."""
+    rates = {name: np.array([one.accepted / one.seconds for one in found]) for name, found in results.items()}
+    rows = [
+        _row("extensions_per_s", {"planner": name, **tags}, values, "1/s", np.median)
+        for name, values in rates.items()
+    ]
+    ratio = rates["doojax"] / rates["ompl"]
+    return [*rows, _row("extensions_speedup", {**tags, "against": "ompl"}, ratio, "", np.median)]
+
+
+def solution_rows(task: str, results: dict[str, list[Found]]) -> list[Row]:
+    """Seconds to a solution where both planners find one, and the share of problems that each solves."""
+    rows = []
     both = [all(one.solved for one in pair) for pair in zip(*results.values(), strict=True)]
     for name, found in results.items():
         tags = {"planner": name, "task": task}
-        accepted, seconds = (np.array(column, float) for column in list(zip(*found, strict=True))[1::-1])
-        rates[name] = accepted / seconds
-        rows.append(_row("extensions_per_s", tags, rates[name], "1/s", np.median))
         if any(both):
+            seconds = np.array([one.seconds for one in found])
             rows.append(_row("time_to_solution_s", tags, seconds[both], "s", np.median))
-        solved = sum(f.solved for f in found)
+        solved = sum(one.solved for one in found)
         rows.append(row("solved", tags, solved / len(found), "", n=len(found)))
-    ratio = rates["doojax"] / rates["ompl"]
-    rows.append(_row("extensions_speedup", {"task": task, "against": "ompl"}, ratio, "", np.median))
     return rows
-
-
-def rate_rows(task: str, results: dict[str, list[Found]], scenes: int) -> list[Row]:
-    """The rates where we plan all scenes side by side, and how many times OMPL's ours is."""
-    rates = {name: np.array([one.accepted / one.seconds for one in found]) for name, found in results.items()}
-    tags = {"task": task, "all_scenes": scenes}
-    ratio = rates["doojax"] / rates["ompl"]
-    return [
-        *(_row("extensions_per_s", {"planner": p, **tags}, rates[p], "1/s", np.median) for p in rates),
-        _row("extensions_speedup", {"against": "ompl", **tags}, ratio, "", np.median),
-    ]
 
 
 def sampler_rows(task: str, extensions: dict[str, np.ndarray]) -> list[Row]:

@@ -116,12 +116,10 @@ def evaluate(
             for group in groups:
                 begun = time.perf_counter()
                 numbers = group_of(group, side_by_side, len(scene_set))
-                chosen = chosen_trials(scene_set, numbers, seed)
                 fresh = [i for i in missing if i // side_by_side == group]
                 wanted = [n in fresh and numbers.index(n) == k for k, n in enumerate(numbers)]
-                records = attempted(
-                    the_task, simulator, method, planning, budget, chosen, keep_trees, wanted=wanted
-                )
+                chosen = chosen_trials(scene_set, numbers, seed)._replace(wanted=wanted)
+                records = attempted(the_task, simulator, method, planning, budget, chosen, keep_trees)
                 for i in fresh:
                     record = records[numbers.index(i)]
                     save_record(record_file(out, name, i), record)
@@ -192,20 +190,16 @@ def attempted(
     budget: TrialSettings,
     trials: Trials,
     keep_trees: bool = False,
-    *,
-    wanted: Sequence[bool] | None = None,
 ) -> list[TrialRecord]:
     """What `run_trials` gives; if it fails, every wanted trial is run without the others, and those that fail
     again are recorded as crashed. Those that are not wanted have records that say no more than that."""
     count = len(trials.seeds)
 
-    def run(some: Trials, wanted: Sequence[bool] | None) -> list[TrialRecord]:
-        return run_trials(
-            task, simulator, method, planning, budget, some, keep_trees=keep_trees, wanted=wanted
-        )
+    def run(some: Trials) -> list[TrialRecord]:
+        return run_trials(task, simulator, method, planning, budget, some, keep_trees=keep_trees)
 
     try:
-        return run(trials, wanted)
+        return run(trials)
     except Exception as error:
         if count == 1:
             return [crashed(task, simulator, method, trials, error, traceback.format_exc())]
@@ -213,10 +207,10 @@ def attempted(
     for i, seed in enumerate(trials.seeds):
         rows = np.full(count, i)  # as many, and so the same shapes, but only the first runs
         starts, goals = jax.tree.map(lambda leaf, r=rows: leaf[r], (trials.starts, trials.goals))
-        alone = Trials(starts, goals, [seed] * count)
+        first = trials.wanted is None or trials.wanted[i]
+        alone = Trials(starts, goals, [seed] * count, [first] + [False] * (count - 1))
         try:
-            first = wanted is None or wanted[i]
-            records.append(run(alone, [first] + [False] * (count - 1))[0])
+            records.append(run(alone)[0])
         except Exception as error:
             records.append(crashed(task, simulator, method, alone, error, traceback.format_exc()))
     return records

@@ -85,6 +85,7 @@ class Trials(NamedTuple):
     starts: SimState
     goals: Goal
     seeds: Sequence[int]  # of everything that is random in each trial
+    wanted: Sequence[bool] | None = None  # by default all are; the others fill up the batch and end at once
 
 
 class Moves(NamedTuple):
@@ -129,7 +130,6 @@ def run_trials(
     *,
     keep_trees: bool = False,
     execute: bool = True,
-    wanted: Sequence[bool] | None = None,
 ) -> list[TrialRecord]:
     """Run R trials side by side.
 
@@ -142,7 +142,6 @@ def run_trials(
         trials: from where to where.
         keep_trees: record all that the searches tried, not only the plans.
         execute: false to end every trial after its first search.
-        wanted: which trials are; the others fill up the batch and end at once.
 
     Returns:
         R records; their ``replay`` holds what `replay` needs, their ``about`` counts and seconds.
@@ -153,7 +152,7 @@ def run_trials(
     keys = jax.vmap(jax.random.key)(jnp.asarray(trials.seeds))
     rope = observed(simulator, states)
     logs = [Log([p], [g]) for p, g in zip(np.asarray(rope.points), np.asarray(rope.grippers), strict=True)]
-    for log, run in zip(logs, wanted or [True] * len(logs), strict=True):
+    for log, run in zip(logs, trials.wanted or [True] * len(logs), strict=True):
         if not run:
             log.stop(NOT_WANTED)
     for turn in range(settings.searches + 1):
