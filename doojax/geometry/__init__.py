@@ -23,6 +23,7 @@ from doojax.geometry.sdf import FAR as FAR
 from doojax.geometry.sdf import nearest_obstacle as nearest_obstacle
 from doojax.geometry.sdf import segment_signed_distance as segment_signed_distance
 from doojax.geometry.sdf import signed_distance as signed_distance
+from doojax.geometry.sdf import signed_distance_and_gradient as signed_distance_and_gradient
 from doojax.geometry.sdf import signed_distances as signed_distances
 from doojax.geometry.voxels import Grid as Grid
 from doojax.geometry.voxels import crop as crop

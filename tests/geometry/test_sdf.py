@@ -13,6 +13,7 @@ from doojax.geometry import (
     nearest_obstacle,
     segment_signed_distance,
     signed_distance,
+    signed_distance_and_gradient,
     signed_distances,
 )
 from doojax.types import Obstacles, ShapeKind
@@ -31,7 +32,15 @@ distance = jax.jit(signed_distance)
 distances = jax.jit(signed_distances)
 nearest = jax.jit(nearest_obstacle)
 segment_distance = jax.jit(segment_signed_distance)
-gradient = jax.jit(jax.vmap(jax.grad(signed_distance, argnums=1), (None, 0)))
+derived = jax.jit(jax.vmap(jax.grad(signed_distance, argnums=1), (None, 0)))
+
+
+@jax.jit
+def written(obstacles, points):
+    return jnp.stack(signed_distance_and_gradient(obstacles, *points.T)[1:], axis=-1)
+
+
+both_gradients = pytest.mark.parametrize("gradient", [derived, written], ids=["derived", "written"])
 
 
 def random_obstacles(rng, kinds=KINDS):
@@ -86,6 +95,7 @@ def in_mujoco(obstacles, probe, probe_size):
     return distances_at
 
 
+@both_gradients
 @pytest.mark.parametrize(
     "kind, half_size, point, expected, normal",
     [
@@ -103,7 +113,7 @@ def in_mujoco(obstacles, probe, probe_size):
         (ShapeKind.CYLINDER, (0.1, 0.1, 0.3), (0.0, 0.0, 0.28), -0.02, (0, 0, 1)),
     ],
 )
-def test_closed_forms(kind, half_size, point, expected, normal):
+def test_closed_forms(kind, half_size, point, expected, normal, gradient):
     obstacles, point = one_shape(kind, half_size), jnp.array([point], float)
     np.testing.assert_allclose(distance(obstacles, point), [expected], atol=1e-7)
     np.testing.assert_allclose(gradient(obstacles, point), [normal], atol=1e-6)
@@ -123,7 +133,8 @@ def test_equals_mujoco_inside_and_outside():
     np.testing.assert_allclose(ours, theirs, atol=2e-6)
 
 
-def test_gradient_has_unit_length_and_equals_finite_differences():
+@both_gradients
+def test_gradient_has_unit_length_and_equals_finite_differences(gradient):
     rng = np.random.default_rng(2)
     with jax.enable_x64(True):
         obstacles = random_obstacles(rng)
@@ -135,15 +146,17 @@ def test_gradient_has_unit_length_and_equals_finite_differences():
         np.testing.assert_allclose(slope, (ahead - behind) / 2e-7, atol=1e-6)
 
 
-def test_gradient_in_float32_has_unit_length():
+@both_gradients
+def test_gradient_in_float32_has_unit_length(gradient):
     rng = np.random.default_rng(3)
     obstacles = random_obstacles(rng)
     slope = gradient(obstacles, jnp.asarray(rng.uniform(-0.8, 0.8, (5000, 3)), float))
     np.testing.assert_allclose(jnp.linalg.norm(slope, axis=-1), 1, atol=1e-5)
 
 
+@both_gradients
 @pytest.mark.parametrize("kind", list(ShapeKind))
-def test_gradient_is_finite_on_kinks_faces_and_axes(kind):
+def test_gradient_is_finite_on_kinks_faces_and_axes(kind, gradient):
     lattice = jnp.stack(jnp.meshgrid(*[jnp.linspace(-0.4, 0.4, 9)] * 3), axis=-1).reshape(-1, 3)
     obstacles = one_shape(
         kind, (0.1, 0.1, 0.2)
@@ -190,9 +203,10 @@ def test_distance_is_1_lipschitz(seed, reach):
     assert np.all(np.abs(value[1] - value[0]) <= apart + 1e-6)
 
 
+@both_gradients
 @properties
 @given(seeds)
-def test_walking_down_the_gradient_reaches_the_surface(seed):
+def test_walking_down_the_gradient_reaches_the_surface(gradient, seed):
     rng = np.random.default_rng(seed)
     obstacles = random_obstacles(rng)
     points = jnp.asarray(rng.uniform(-0.8, 0.8, (50, 3)), float)
@@ -212,7 +226,8 @@ def test_inactive_obstacles_do_not_count():
     assert jnp.all(distances(some, points)[:, 1::2] == FAR)
 
 
-def test_no_active_obstacle_is_far_away_and_has_no_gradient():
+@both_gradients
+def test_no_active_obstacle_is_far_away_and_has_no_gradient(gradient):
     obstacles = random_obstacles(np.random.default_rng(4))
     parked = eqx.tree_at(lambda o: o.active, obstacles, jnp.zeros(9, bool))
     none = jax.tree.map(lambda field: field[:0], obstacles)
@@ -224,7 +239,8 @@ def test_no_active_obstacle_is_far_away_and_has_no_gradient():
         assert jnp.all(gradient(empty, points) == 0)
 
 
-def test_nearest_is_the_first_of_the_least_distances_and_nan_stays_nan():
+@both_gradients
+def test_nearest_is_the_first_of_the_least_distances_and_nan_stays_nan(gradient):
     rng = np.random.default_rng(4)
     once = random_obstacles(rng)
     twice = jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), once)  # every obstacle has an equal
@@ -235,6 +251,26 @@ def test_nearest_is_the_first_of_the_least_distances_and_nan_stays_nan():
     broken = eqx.tree_at(lambda o: o.centre, once, once.centre.at[4].set(jnp.nan))
     assert (nearest(broken, points) == 4).all()
     assert jnp.isnan(distance(broken, points)).all() and jnp.isnan(gradient(broken, points)).all()
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 11), (64,)])
+def test_the_written_gradient_comes_with_the_same_distance_in_any_shape(shape):
+    rng = np.random.default_rng(7)
+    obstacles, points = random_obstacles(rng), jnp.asarray(rng.uniform(-0.8, 0.8, (*shape, 3)), float)
+    found, *slope = signed_distance_and_gradient(obstacles, *jnp.moveaxis(points, -1, 0))
+    np.testing.assert_allclose(found, signed_distance(obstacles, points), atol=1e-7)
+    flat = derived(obstacles, points.reshape(-1, 3))
+    np.testing.assert_allclose(jnp.stack(slope, axis=-1).reshape(-1, 3), flat, atol=1e-6)
+
+
+def test_the_written_gradient_can_itself_be_differentiated():
+    obstacles, point = random_obstacles(np.random.default_rng(8)), jnp.array([0.7, 0.1, -0.6])
+
+    def towards_x(point):
+        return signed_distance_and_gradient(obstacles, *point)[1]
+
+    twice = jax.jit(jax.hessian(lambda point: signed_distance(obstacles, point)))(point)
+    np.testing.assert_allclose(jax.jit(jax.grad(towards_x))(point), twice[0], atol=1e-5)
 
 
 def test_points_and_obstacles_of_different_precision_are_measured_in_the_finer():
@@ -254,7 +290,7 @@ def test_moving_the_obstacle_is_moving_the_point_back():
     def moved(shift):
         return signed_distance(eqx.tree_at(lambda o: o.centre, obstacles, obstacles.centre + shift), point)
 
-    by_point = gradient(obstacles, point[None])[0]
+    by_point = derived(obstacles, point[None])[0]
     np.testing.assert_allclose(jax.jit(jax.grad(moved))(jnp.zeros(3)), -by_point, atol=1e-6)
 
 
