@@ -157,6 +157,7 @@ def side_by_side(ours: Rrt, ompl: "Ompl", problems: Sequence[Problem]) -> dict[s
     """In each round our planner on all problems at once, and OMPL on one after another."""
     everything = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *problems)
     found: dict[str, list[Found]] = {"doojax": [], "ompl": []}
+    solve(ours, everything)  # compiles what cuts the batch up
     for number in range(ROUNDS):
         fold = jax.vmap(partial(jax.random.fold_in, data=number))
         found["doojax"].append(solve(ours, eqx.tree_at(lambda p: p.key, everything, replace_fn=fold)))

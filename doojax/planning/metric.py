@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from doojax.planning.goals import Goal, bodies_of
+from doojax.planning.goals import Goal
 from doojax.tasks.base import Box
 from doojax.types import RopeState
 
-CHUNK = 1024  # slots compared at once
+CHUNK = 256  # slots compared at once
 
 
 @runtime_checkable
@@ -76,18 +76,23 @@ def nearest(
         filled: only so many slots are looked at, in chunks: a tree costs what it holds.
     """
     count, capacity = len(samples), eligible.shape[0]
-    flat = samples.reshape(count, -1)
     chunk = min(CHUNK, capacity)
+    flat = samples.reshape(count, -1)
+    split = states.points[0].size
+    # Points and grippers apart, as they lie in memory: no copy of the states is made.
+    theirs = states.points.reshape(capacity, -1), states.grippers.reshape(capacity, -1)
+    ours = flat[:, :split], flat[:, split:]
 
     def compare(index, best):
         # A last chunk that would reach beyond the end starts earlier: some slots are then looked at twice.
         start = jnp.minimum(index * chunk, capacity - chunk)
-        part, allowed = jax.tree.map(
-            lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, chunk), (bodies_of(states), eligible)
+        points, grippers, allowed = (
+            jax.lax.dynamic_slice_in_dim(leaf, start, chunk) for leaf in (*theirs, eligible)
         )
-        part = part.reshape(chunk, -1)
         allowed &= start + jnp.arange(chunk) < filled
-        squared = jnp.where(allowed, (part**2).sum(-1), jnp.inf)[:, None] - 2 * part @ flat.T
+        length = (points**2).sum(-1) + (grippers**2).sum(-1)
+        along = points @ ours[0].T + grippers @ ours[1].T
+        squared = jnp.where(allowed, length, jnp.inf)[:, None] - 2 * along
         least = squared.min(0)  # two reductions over the first axis: several times faster than one argmin
         here = jnp.where(squared == least, jnp.arange(chunk)[:, None], chunk).min(0)
         closer = least < best[0]

@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.random import fold_in
 from jaxtyping import Array, Bool, Float, Int
 
 from doojax.models.protocols import Dynamics, Reliability
@@ -30,6 +31,7 @@ from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
 
 AT_ONCE = 64  # expansions in one call
+PARTS = 2  # of the lanes, that begin anew one after another
 
 
 @dataclass(frozen=True)
@@ -254,29 +256,45 @@ def _propose_one(
     first: Int[Array, ""],
 ) -> tuple[Lanes, RopeState]:
     """What every lane tries next, and the states that it starts from."""
-    key = jax.random.fold_in(problem.key, first)
+    key = fold_in(problem.key, first)
     draw_key, sample_key, action_key = jax.random.split(key, 3)
     draws = jax.random.uniform(draw_key, (4, settings.lanes))
 
-    # The shape of any state of the tree: where that was rejected, its parent's.
-    slots = jnp.minimum(draws[0] * first, first - 1).astype(jnp.int32)
-    slots = jnp.where(tree.accepted[slots], slots, tree.parent[slots])
-    towards_goal = draws[1] < settings.goal_bias
-    samples = jax.vmap(sampler, in_axes=(0, None, 0, None, 0))(
-        jax.random.split(sample_key, settings.lanes),
-        task.workspace,
-        bodies_of(_at(tree.state, slots)),
-        problem.goal,
-        towards_goal,
-    )
     held = (lanes.remaining > 0) & jax.vmap(task.valid_action, in_axes=(0, 0, None))(
         _at(tree.state, lanes.node), lanes.action, "constrained"
     )
-    node = jnp.where(held, lanes.node, nearest(samples, tree.state, tree.accepted, first))
+    direct = jax.vmap(lambda *arguments: _directed_action(task, settings.candidates, *arguments))
+
+    def begin_anew(some: Int[Array, "P"]) -> tuple[Int[Array, "P"], Float[Array, "P G 3"]]:
+        """Where some lanes begin, and what they are about to do."""
+        # The shape of any state of the tree: where that was rejected, its parent's.
+        slots = jnp.minimum(draws[0, some] * first, first - 1).astype(jnp.int32)
+        slots = jnp.where(tree.accepted[slots], slots, tree.parent[slots])
+        sample_keys, action_keys = (
+            jax.vmap(fold_in, (None, 0))(key, some) for key in (sample_key, action_key)
+        )
+        samples = jax.vmap(sampler, in_axes=(0, None, 0, None, 0))(
+            sample_keys,
+            task.workspace,
+            bodies_of(_at(tree.state, slots)),
+            problem.goal,
+            draws[1, some] < settings.goal_bias,
+        )
+        node = nearest(samples, tree.state, tree.accepted, first)
+        return node, direct(action_keys, _at(tree.state, node), samples)
+
+    # Most lanes carry on: only a part at a time begins anew, until all have that are free.
+    part = -(-settings.lanes // PARTS)
+    free_first = jnp.pad(jnp.argsort(held), (0, PARTS * part - settings.lanes), mode="edge")
+
+    def begin_part(index: Int[Array, ""], begun: tuple[Array, Array]) -> tuple[Array, Array]:
+        some = jax.lax.dynamic_slice_in_dim(free_first, index * part, part)
+        return jax.tree.map(lambda old, new: old.at[some].set(new), begun, begin_anew(some))
+
+    parts = -(-(~held).sum() // part)
+    fresh_node, fresh = jax.lax.fori_loop(0, parts, begin_part, (lanes.node, lanes.action))
+    node = jnp.where(held, lanes.node, fresh_node)
     parents = _at(tree.state, node)
-    fresh = jax.vmap(lambda *arguments: _directed_action(task, settings.candidates, *arguments))(
-        jax.random.split(action_key, settings.lanes), parents, samples
-    )
     duration = 1 + jnp.minimum(draws[2] * settings.duration, settings.duration - 1).astype(jnp.int32)
     proposed = Lanes(
         node=node,
@@ -322,6 +340,8 @@ def _insert_one(
     used = jnp.where(done, tree.used, first + settings.lanes)
     everything = write(tree.accepted, accepted)
     tried_enough = used > settings.stuck_after
+    # Once one attempt has succeeded it never will be stuck, so that the first few tell.
+    any_yet = everything[1 : 1 + -(-settings.stuck_after // settings.lanes) * settings.lanes].any()
     grown = Tree(
         state=jax.tree.map(write, tree.state, after),
         action=write(tree.action, lanes.action),
@@ -331,7 +351,7 @@ def _insert_one(
         goal_distance=write(tree.goal_distance, distance),
         used=used,
         solved=tree.solved | near,
-        stuck=tree.stuck | (tried_enough & ~everything[1:].any() & ~tree.solved),
+        stuck=tree.stuck | (tried_enough & ~any_yet & ~tree.solved),
     )
     moved = Lanes(
         node=first + jnp.arange(settings.lanes),
