@@ -9,6 +9,7 @@ A second table tells what the samples of `doojax.planning.metric` are worth besi
 rope, which the thesis's released code uses.
 """
 
+import gc
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -169,6 +170,7 @@ def side_by_side(ours: Rrt, ompl: "Ompl", problems: Sequence[Problem]) -> dict[s
 
 def solve(ours: Rrt, problems: Problem) -> Found:
     """Our planner on a batch of problems."""
+    gc.collect()  # OMPL's last tree, which is a cycle of Python objects, is not ours to clear away
     begun = time.perf_counter()
     tree = jax.block_until_ready(search(ours, problems))
     seconds = time.perf_counter() - begun
@@ -261,6 +263,7 @@ class Ompl:
         setup.setPlanner(rrt)
         setup.setup()
         stop = base.PlannerTerminationCondition(lambda: len(states) > settings.extensions)
+        gc.collect()
         begun = time.perf_counter()
         setup.solve(stop)
         seconds = time.perf_counter() - begun
