@@ -85,25 +85,21 @@ window.settled = async () => {
     last = hash;
   }
 };
-window.version = node => {
-  const found = window.__viserMutable.nodeRefFromName[node]?.children[0];
-  return found?.geometry.attributes.position.version;
-};
+window.place = node => window.__viserMutable.nodeRefFromName[node]?.position.toArray().join();
 """
-# Presses the key that steps by one state. Returns the milliseconds until the rope's new vertices have arrived
-# and are those of its mesh in the page, and until the picture is another.
+# Presses the key that steps by one state. Returns the milliseconds until a node's new place has arrived and
+# is that of its mesh in the page, and until the picture is another.
 CHANGE = """async ([letter, node]) => {
   await window.settled();
   const key = {key: letter.toLowerCase(), code: "Key" + letter, bubbles: true};
-  const before = window.picture().hash, old = window.version(node), start = performance.now();
+  const before = window.picture().hash, old = window.place(node), start = performance.now();
   document.body.dispatchEvent(new KeyboardEvent("keydown", key));
   document.body.dispatchEvent(new KeyboardEvent("keyup", key));
-  while (window.version(node) === old) {
-    if (performance.now() - start > window.patience) throw new Error("no new vertices came");
+  while (window.place(node) === old) {
+    if (performance.now() - start > window.patience) throw new Error("no new place came");
     await window.afterFrame();
   }
   const arrival = performance.now();
-  await window.afterFrame();
   return [arrival - start, await window.changed(before) - start];
 }"""
 # Waits for what comes next. Seconds, of the clock that Python reads too.
@@ -117,7 +113,7 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
     """Measure the page of `doojax view` in a headless Chromium; write results/viewer.
 
     open_s: from the opening of a data set by the server until its first rope is drawn in a page that was
-    open before. frame_ms: from the key that steps in time until the rope's new vertices are in the page
+    open before. frame_ms: from the key that steps in time until the rope's new place is in the page
     (arrival) and until another picture is drawn there (pixels); and the latter in a page that shows nothing
     but a short rope (floor), which is what viser and the browser take. tree_fps: frames a second that were
     drawn while the mouse turned the view of a search tree.
@@ -149,7 +145,7 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
 
 def changing(page: "Page") -> list[Row]:
     """Step to and fro in time, in a page that shows a data set."""
-    found = stepped(page, "/shown0/now/rope")
+    found = stepped(page, "/shown0/now/grippers/0")
     tags = {"trajectories": TRAJECTORIES, **SOFTWARE}
     return [
         median_row("frame_ms", {**tags, "part": part}, times, "ms")
@@ -171,12 +167,12 @@ def changing_least(server: Server, page: "Page") -> Row:
     viewed.key("Up", "L", lambda: move(0.001))
     viewed.key("Down", "J", lambda: move(-0.001))
     viewed.call(lambda: move(0.0))
-    page.wait_for_function("window.__viserMutable.nodeRefFromName['/least']")
-    return median_row("frame_ms", {"part": "floor", **SOFTWARE}, stepped(page, "/least")[:, 1], "ms")
+    page.wait_for_function("window.__viserMutable.nodeRefFromName['/least/0']")
+    return median_row("frame_ms", {"part": "floor", **SOFTWARE}, stepped(page, "/least/0")[:, 1], "ms")
 
 
 def stepped(page: "Page", node: str) -> Float[np.ndarray, "k 2"]:
-    """Milliseconds from each of many keys to a node's new vertices, and to the new picture."""
+    """Milliseconds from each of many keys to a node's new place, and to the new picture."""
     letters = ["L" if step // 20 % 2 == 0 else "J" for step in range(CHANGES)]
     return np.array([page.evaluate(CHANGE, [letter, node]) for letter in letters])
 

@@ -1,5 +1,6 @@
 """A `Drawing` on a viser scene: only what changed travels to the page."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,38 @@ from doojax.viewer import shapes
 from doojax.viewer.episodes import rotation_matrices
 
 Colours = Colour | UInt8[np.ndarray, "K 3"]
+FEW = 8  # balls that are nodes of their own
+
+
+class Pieces:
+    """Meshes that move: the page shows that in the frame in which it arrives.
+
+    New vertices, or places in a batch, are seen only in the frame after that.
+    """
+
+    def __init__(self, meshes: Sequence[viser.MeshHandle]):
+        """Take the scene's meshes over."""
+        self._meshes = meshes
+
+    def move(
+        self, positions: Float[np.ndarray, "K 3"], quaternions: Float[np.ndarray, "K 4"] | None = None
+    ) -> None:
+        """Put each mesh at another position (m), turned by another quaternion (w, x, y, z) if given."""
+        for mesh, position in zip(self._meshes, positions, strict=True):
+            mesh.position = position
+        for mesh, quaternion in zip(self._meshes, () if quaternions is None else quaternions, strict=False):
+            mesh.wxyz = quaternion
+
+    def remove(self) -> None:
+        """Take them away."""
+        for mesh in self._meshes:
+            mesh.remove()
 
 
 class SceneDrawing:
     """Implements `doojax.experiments.drawing.Drawing` below one node of a viser scene.
 
-    Ropes, balls and lines drawn again at another place send their new vertices or positions, nothing else.
+    What is drawn again at another place sends its new places or vertices, nothing else.
     """
 
     def __init__(self, scene: viser.SceneApi, root: str = ""):
@@ -41,15 +68,16 @@ class SceneDrawing:
         if not np.isfinite(points).all():
             self.remove(name)
             return
-        vertices, faces = shapes.tube(points, radius)
+        if opacity == 1:
+            self._rope_of_pieces(name, points, radius, colour)
+            return
+        vertices, faces = shapes.tube(points, radius)  # in one, because pieces would be seen in each other
         if self._stays(name, ("rope", len(vertices), colour, opacity)):
             self._handles[name].vertices = vertices
         else:
             self._keep(
                 name,
-                self._scene.add_mesh_simple(
-                    self._path(name), vertices, faces, color=colour, opacity=opacity if opacity < 1 else None
-                ),
+                self._scene.add_mesh_simple(self._path(name), vertices, faces, color=colour, opacity=opacity),
             )
 
     def spheres(
@@ -68,6 +96,8 @@ class SceneDrawing:
         centres, each = centres[known], each[known]
         if not len(centres):
             self.remove(name)
+        elif len(centres) <= FEW:
+            self._few_spheres(name, centres, radius, each, opacity)
         elif self._stays(name, ("spheres", len(centres), radius, opacity)):
             self._handles[name].batched_positions = centres
             self._handles[name].batched_colors = linear(each)
@@ -219,6 +249,50 @@ class SceneDrawing:
         """Remove everything that was drawn."""
         for key in list(self._handles):
             self.remove(key)
+
+    def _rope_of_pieces(
+        self, name: str, points: Float[np.ndarray, "N 3"], radius: float, colour: Colour
+    ) -> None:
+        """Straight pieces with round ends, short enough to look like a curve."""
+        curve = shapes.smooth(np.asarray(points, dtype=np.float64))
+        steps = np.diff(curve, axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+        quaternions = shapes.turns_from_z(steps / np.maximum(lengths, 1e-9)[:, None])
+        length, kept = float(lengths.mean()), self._about.get(name, ())
+        if kept[:1] == ("pieces",) and abs(kept[1] - length) < radius / 2:  # round ends hide as much
+            length = kept[1]
+        if not self._stays(name, ("pieces", length, len(steps), radius, colour)):
+            mesh = shapes.capsule(radius, length / 2)
+            self._keep(name, self._pieces(name, mesh, np.tile(np.array(colour, np.uint8), (len(steps), 1))))
+        self._handles[name].move((curve[1:] + curve[:-1]) / 2, quaternions)
+
+    def _few_spheres(
+        self,
+        name: str,
+        centres: Float[np.ndarray, "K 3"],
+        radius: float,
+        colours: UInt8[np.ndarray, "K 3"],
+        opacity: float,
+    ) -> None:
+        if not self._stays(name, ("few", radius, opacity, colours.tobytes())):
+            self._keep(name, self._pieces(name, shapes.sphere(radius), colours, opacity))
+        self._handles[name].move(centres)
+
+    def _pieces(
+        self, name: str, mesh: shapes.Mesh, colours: UInt8[np.ndarray, "K 3"], opacity: float = 1.0
+    ) -> Pieces:
+        """As many of one mesh as there are colours, all at the origin."""
+        return Pieces(
+            [
+                self._scene.add_mesh_simple(
+                    self._path(f"{name}/{number}"),
+                    *mesh,
+                    color=tuple(colour.tolist()),
+                    opacity=opacity if opacity < 1 else None,
+                )
+                for number, colour in enumerate(colours)
+            ]
+        )
 
     def _path(self, name: str) -> str:
         return f"{self._root}/{name}"

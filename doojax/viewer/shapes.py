@@ -110,11 +110,16 @@ def shape(kind: int, half_size: Float[np.ndarray, "3"]) -> Mesh:
         return box(half_size)
     if kind == ShapeKind.CYLINDER:
         return lathe(np.array([[0, -height], [radius, -height], [radius, height], [0, height]]))
-    angle = np.linspace(-np.pi / 2, np.pi / 2, 12)
-    ball = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    ball[:6, 1] -= height
-    ball[6:, 1] += height
-    return lathe(ball)
+    return capsule(radius, height, rings=6, sides=32)
+
+
+def capsule(radius: float, height: float, rings: int = 4, sides: int = SIDES) -> Mesh:
+    """Around the origin, along z; ``height`` is half the length of its straight part, ``rings`` its caps'."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 2 * rings)
+    profile = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    profile[:rings, 1] -= height
+    profile[rings:, 1] += height
+    return lathe(profile, sides)
 
 
 def sphere(radius: float = 1.0, sides: int = 12) -> Mesh:
