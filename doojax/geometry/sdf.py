@@ -5,7 +5,8 @@ a core: the box; the capsule's segment; the cylinder as a box in radius and heig
 the excess e: |max(e, 0)| outside, the largest e inside, less the radius by which a capsule inflates its core.
 
 The gradient has length one, except on the kinks inside an obstacle (points equally deep below several faces,
-axes), where it is some vector of length at most one. It is never NaN.
+axes), where it is some vector of length at most one. It is NaN only where a coordinate is, of the point or
+of the nearest obstacle.
 """
 
 import math
@@ -23,12 +24,8 @@ from doojax.types import Obstacles, ShapeKind
 FAR = 1000.0
 """Distance reported to an inactive obstacle, metres: finite, so that losses and gradients stay finite."""
 
-TINY = 1e-18
-"""Lengths below it count as it where they are divided by, metres."""
-
-VECTOR = 8
-"""Numbers in the vectors that CPUs compute with."""
-
+_TINY = 1e-18  # m: what is shorter counts as so long where it divides
+_VECTOR = 8  # numbers (float32, AVX2) that a CPU computes at once
 _SHRINK = 0.55  # of the bracket kept by each step of the search along a segment
 _SEARCH_STEPS = 23  # which leave _SHRINK**23 = 1.1e-6 of the segment
 
@@ -132,21 +129,30 @@ def _require_one_set(obstacles: Obstacles) -> None:
 def signed_distance_and_gradient(
     obstacles: Obstacles, x: Float[Array, "*p"], y: Float[Array, "*p"], z: Float[Array, "*p"]
 ) -> tuple[Float[Array, "*p"], Float[Array, "*p"], Float[Array, "*p"], Float[Array, "*p"]]:
-    """`signed_distance` and its derivatives by x, y and z: what `jax.grad` gives, in less time on a CPU.
+    """`signed_distance` and its derivatives by x, y and z, written out: less time than `jax.grad` on a CPU.
+
+    On kinks, where the derivative is any of several, it may be another than that of `jax.grad`.
 
     Args:
         obstacles: one unbatched set; `jax.vmap` for a batch of sets.
         x, y, z: world frame, metres; apart, because a CPU is fast with long axes.
 
     Returns:
-        the distance, and the gradient's three components.
+        the distance in metres, `FAR` where no obstacle is active, and the gradient's components along the
+        world's axes: of length one away from kinks, zero where no obstacle is active.
 
     Raises:
-        ValueError: if the obstacles carry batch axes.
+        ValueError: if the obstacles carry batch axes, or x, y and z differ in shape.
     """
     _require_one_set(obstacles)
+    if not jnp.shape(x) == jnp.shape(y) == jnp.shape(z):
+        raise ValueError(
+            f"x, y and z have shapes {jnp.shape(x)}, {jnp.shape(y)} and {jnp.shape(z)}, expected one shape: "
+            "use jnp.broadcast_arrays"
+        )
     if obstacles.kind.shape == (0,):
-        return jnp.full_like(x, FAR), jnp.zeros_like(x), jnp.zeros_like(x), jnp.zeros_like(x)
+        far = jnp.full(jnp.shape(x), FAR, jnp.result_type(x, obstacles.centre))
+        return far, jnp.zeros_like(far), jnp.zeros_like(far), jnp.zeros_like(far)
     return _nearest_with_gradient(obstacles, x, y, z)
 
 
@@ -220,7 +226,7 @@ def _nearest_in_turn(obstacles: Obstacles, *point: Float[Array, "p"]) -> tuple[A
 
 def _padded(values: Float[Array, "*p"]) -> Float[Array, "q"]:
     # What does not fill a CPU's vectors is computed one by one, which can cost as much as all the rest.
-    return jnp.pad(values.reshape(-1), (0, -values.size % VECTOR), mode="edge")
+    return jnp.pad(values.reshape(-1), (0, -values.size % _VECTOR), mode="edge")
 
 
 def _unpadded(values: Shaped[Array, "q"], shape: tuple[int, ...]) -> Shaped[Array, "*p"]:
@@ -280,11 +286,12 @@ def _distance_and_gradient(
 
     first, second = excess_x == largest, excess_y == largest
     deepest = (first, second & ~first, ~(first | second))
+    one = jnp.where(jnp.isnan(largest), largest, 1.0)
     by_x, by_y, by_z = (
-        jnp.where(outside, part / jnp.maximum(length, TINY), jnp.where(one, 1.0, 0.0))
-        for part, one in zip(beyond, deepest, strict=True)
+        jnp.where(outside, part / jnp.maximum(length, _TINY), jnp.where(this, one, 0.0))
+        for part, this in zip(beyond, deepest, strict=True)
     )
-    radial = by_x / jnp.maximum(from_axis, TINY)  # a cylinder's first direction is any away from its axis
+    radial = by_x / jnp.maximum(from_axis, _TINY)  # a cylinder's first direction is any away from its axis
     in_body = [
         jnp.where(cylinder, radial * along[0], jnp.sign(along[0]) * by_x),
         jnp.where(cylinder, radial * along[1], jnp.sign(along[1]) * by_y),

@@ -32,24 +32,24 @@ def dynamics_preset(name: PresetName, task: Task) -> Preset:
         return Preset(
             DynamicsConfig(**size), FitConfig(epochs=400, batch_size=16, members=8, schedule="constant")
         )
-    narrow = is_planar(task)
+    planar = task.scene.planar  # narrower networks do as well there
     config = DynamicsConfig(
         **size,
-        width=128 if narrow else 256,
+        width=128 if planar else 256,
         symmetry="canonical",
-        heading_fold=2 * FRICTION_DIRECTIONS if narrow else 0,
+        heading_fold=2 * FRICTION_DIRECTIONS if planar else 0,
     )
-    epochs = 240 if narrow else 120
+    epochs = 240 if planar else 120
     return Preset(config, FitConfig(epochs=epochs, batch_size=32, members=4, learning_rate=2e-3))
 
 
 def classifier_preset(name: PresetName, task: Task) -> Preset:
-    """The classifier from distances; `thesis` is wider and trained longer."""
+    """The classifier from distances; `thesis` is wider and trained longer, `quick` small for flat ropes."""
     if name == "thesis":
         return Preset(
             ClassifierConfig(task.grippers, origin(task), width=128), FitConfig(epochs=40, batch_size=128)
         )
-    if is_planar(task):
+    if task.scene.planar:
         config = ClassifierConfig(task.grippers, origin(task), width=32, moments=2, midpoints=False)
     else:
         config = ClassifierConfig(task.grippers, origin(task))
@@ -76,11 +76,6 @@ def recovery_preset(name: PresetName, classifier: DistanceClassifier) -> Preset:
 def labels_preset(name: PresetName) -> LabelConfig:
     """`quick`: from every fifth state for ten steps, as a planner does; `thesis`: once a trajectory."""
     return THESIS if name == "thesis" else LabelConfig()
-
-
-def is_planar(task: Task) -> bool:
-    """Does the rope stay on the floor? Then narrower networks do as well, in a third of the time."""
-    return task.scene.rope_model.kind == "planar_chain"
 
 
 def origin(task: Task) -> Origin:

@@ -92,7 +92,9 @@ def nearest(
         allowed &= start + jnp.arange(chunk) < filled
         length = (points**2).sum(-1) + (grippers**2).sum(-1)
         along = points @ ours[0].T + grippers @ ours[1].T
-        squared = jnp.where(allowed, length, jnp.inf)[:, None] - 2 * along
+        squared = jnp.where(
+            allowed[:, None], length[:, None] - 2 * along, jnp.inf
+        )  # rejected ones may be NaN
         least = squared.min(0)  # two reductions over the first axis: several times faster than one argmin
         here = jnp.where(squared == least, jnp.arange(chunk)[:, None], chunk).min(0)
         closer = least < best[0]

@@ -1,3 +1,6 @@
+import inspect
+import operator
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -248,9 +251,10 @@ def test_nearest_is_the_first_of_the_least_distances_and_nan_stays_nan(gradient)
     np.testing.assert_array_equal(nearest(twice, points), distances(twice, points).argmin(-1))
     assert nearest(twice, points).max() < len(KINDS)
     assert jnp.isnan(distance(once, jnp.array([[jnp.nan, 0.0, 0.0]])))
-    broken = eqx.tree_at(lambda o: o.centre, once, once.centre.at[4].set(jnp.nan))
-    assert (nearest(broken, points) == 4).all()
-    assert jnp.isnan(distance(broken, points)).all() and jnp.isnan(gradient(broken, points)).all()
+    for field in ("centre", "half_size", "quaternion"):
+        broken = eqx.tree_at(operator.attrgetter(field), once, replace_fn=lambda old: old.at[4].set(jnp.nan))
+        assert (nearest(broken, points) == 4).all()
+        assert jnp.isnan(distance(broken, points)).all() and jnp.isnan(gradient(broken, points)).all()
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 11), (64,)])
@@ -261,6 +265,24 @@ def test_the_written_gradient_comes_with_the_same_distance_in_any_shape(shape):
     np.testing.assert_allclose(found, signed_distance(obstacles, points), atol=1e-7)
     flat = derived(obstacles, points.reshape(-1, 3))
     np.testing.assert_allclose(jnp.stack(slope, axis=-1).reshape(-1, 3), flat, atol=1e-6)
+
+
+def test_coordinates_of_different_shapes_are_refused_with_and_without_obstacles():
+    x, y = jnp.zeros(()), jnp.zeros(3)
+    unchecked = inspect.unwrap(signed_distance_and_gradient)  # in tests jaxtyping would refuse them before
+    some = random_obstacles(np.random.default_rng(9))
+    for obstacles in (some, jax.tree.map(lambda leaf: leaf[:0], some)):
+        with pytest.raises(ValueError, match=r"shapes \(\), \(3,\) and \(3,\), expected one shape"):
+            unchecked(obstacles, x, y, y)
+
+
+def test_the_written_gradient_of_many_scenes_at_once_is_that_of_each():
+    scenes = [random_obstacles(np.random.default_rng(seed)) for seed in range(3)]
+    points = jnp.asarray(np.random.default_rng(3).uniform(-0.8, 0.8, (3, 3, 7)), float)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenes)
+    together = jax.vmap(lambda scene, point: jnp.stack(signed_distance_and_gradient(scene, *point)))
+    each = [jnp.stack(signed_distance_and_gradient(s, *p)) for s, p in zip(scenes, points, strict=True)]
+    np.testing.assert_allclose(together(stacked, points), jnp.stack(each), atol=1e-6)
 
 
 def test_the_written_gradient_can_itself_be_differentiated():

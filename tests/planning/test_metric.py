@@ -26,18 +26,23 @@ def ropes(count: int, points: int, grippers: int, seed: int = 0) -> RopeState:
     return RopeState(*(jnp.asarray(rng.uniform(-1, 1, shape), dtype=jnp.float32) for shape in shapes))
 
 
+@pytest.mark.parametrize("capacity, grippers", [(CAPACITY, 1), (100, 2)])
 @settings(max_examples=12, deadline=None)
-@given(filled=st.integers(1, CAPACITY), share=st.floats(0, 1), seed=st.integers(0, 1000))
-def test_the_nearest_is_the_one_that_a_kd_tree_finds(filled, share, seed):
+@given(part=st.floats(0, 1), share=st.floats(0, 1), seed=st.integers(0, 1000))
+def test_the_nearest_is_the_one_that_a_kd_tree_finds(capacity, grippers, part, share, seed):
     rng = np.random.default_rng(seed)
-    states = ropes(CAPACITY, 5, 1, seed)
-    eligible = rng.uniform(size=CAPACITY) < share
+    filled = 1 + int(part * (capacity - 1))
+    states = ropes(capacity, 5, grippers, seed)
+    eligible = rng.uniform(size=capacity) < share
     eligible[0] = True
-    samples = rng.uniform(-1, 1, (16, 6, 3)).astype(np.float32)
+    # what was rejected may have been rejected because it is not finite
+    broken = jnp.asarray(~eligible & (rng.uniform(size=capacity) < 0.1))
+    states = jax.tree.map(lambda leaf: jnp.where(broken[:, None, None], jnp.nan, leaf), states)
+    samples = rng.uniform(-1, 1, (16, 5 + grippers, 3)).astype(np.float32)
     found = np.asarray(nearest(jnp.asarray(samples), states, jnp.asarray(eligible), jnp.array(filled)))
 
     choice = np.flatnonzero(eligible[:filled])
-    everything = np.asarray(bodies_of(states)).reshape(CAPACITY, -1)
+    everything = np.asarray(bodies_of(states)).reshape(capacity, -1)
     distance, _ = cKDTree(everything[choice]).query(samples.reshape(16, -1))
     assert np.isin(found, choice).all()
     found_distance = np.linalg.norm(everything[found] - samples.reshape(16, -1), axis=-1)

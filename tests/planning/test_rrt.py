@@ -163,6 +163,18 @@ def test_where_everything_is_rejected_the_start_counts_as_stuck_at_once():
     assert (plan.status, plan.extensions, plan.accepted, len(plan.actions)) == ("stuck", 16, 0, 0)
 
 
+def test_a_first_success_just_before_the_start_would_count_as_stuck_keeps_the_search_going():
+    # Three expansions of 16 are tried before 40 attempts are over; only luck accepts anything.
+    rare = replace(SMALL, stuck_after=40, random_accept=0.02)
+    ends = {}
+    for seed in range(40):
+        tree = element(search(Rrt(Towed(), TIMID, TOY, rare), batch(problem(seed=seed))), 0)
+        first = np.flatnonzero(np.asarray(tree.accepted)[1:])
+        ends[first[0] // 16 if len(first) else 3] = bool(tree.stuck), int(tree.used)
+    assert ends[2] == (False, 1 + rare.extensions)
+    assert ends[3] == (True, 1 + 48)
+
+
 def test_random_accepts_are_as_many_as_asked_for():
     planner = Rrt(Towed(), TIMID, TOY, replace(SMALL, random_accept=0.25))
     plan = plan_of(element(search(planner, batch(problem(goal=(0.45, 0.45)))), 0))
