@@ -36,6 +36,12 @@ class Pieces:
         for mesh, quaternion in zip(self._meshes, () if quaternions is None else quaternions, strict=False):
             mesh.wxyz = quaternion
 
+    def paint(self, colours: UInt8[np.ndarray, "K 3"]) -> None:
+        """Give each mesh its colour."""
+        for mesh, colour in zip(self._meshes, colours.tolist(), strict=True):
+            if tuple(mesh.color) != tuple(colour):
+                mesh.color = tuple(colour)
+
     def remove(self) -> None:
         """Take them away."""
         for mesh in self._meshes:
@@ -274,8 +280,9 @@ class SceneDrawing:
         colours: UInt8[np.ndarray, "K 3"],
         opacity: float,
     ) -> None:
-        if not self._stays(name, ("few", radius, opacity, colours.tobytes())):
+        if not self._stays(name, ("few", len(centres), radius, opacity)):
             self._keep(name, self._pieces(name, shapes.sphere(radius), colours, opacity))
+        self._handles[name].paint(colours)
         self._handles[name].move(centres)
 
     def _pieces(

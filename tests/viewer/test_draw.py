@@ -73,5 +73,9 @@ def test_few_spheres_are_where_they_are_put_in_their_own_colours(scene):
         found = pieces(drawing, "hands")
         np.testing.assert_allclose([ball.position for ball in found], centres + shift)
         assert [tuple(ball.color) for ball in found] == [(255, 0, 0), (0, 0, 255)]
+    first = drawing._handles["hands"]
+    drawing.spheres("hands", centres, radius=0.02, colours=each[::-1])  # painted, not made anew: no flicker
+    assert drawing._handles["hands"] is first
+    assert [tuple(ball.color) for ball in found] == [(0, 0, 255), (255, 0, 0)]
     drawing.spheres("hands", centres[:1], radius=0.02, colours=each[:1])
     assert len(pieces(drawing, "hands")) == 1
