@@ -44,8 +44,12 @@ def worth_parts(size: int, batch: Any, *others: Any) -> bool:
     It is not on an accelerator, nor while JAX traces: ``others`` is what else might be traced.
     """
     leaves = jax.tree.leaves(batch)
-    traced = any(isinstance(leaf, Tracer) for leaf in (*leaves, *jax.tree.leaves(others), jnp.zeros(())))
-    return not traced and len(leaves[0]) > size and jax.default_backend() == "cpu"
+    return not traced(batch, others) and len(leaves[0]) > size and jax.default_backend() == "cpu"
+
+
+def traced(*trees: Any) -> bool:
+    """Is this called inside of `jax.jit` or another transformation, or with something that is?"""
+    return any(isinstance(leaf, Tracer) for leaf in (*jax.tree.leaves(trees), jnp.zeros(())))
 
 
 def in_parts(function: Callable[..., Any], size: int, *arguments: Any) -> Any:

@@ -13,10 +13,11 @@ from jaxtyping import Bool, Float
 
 from doojax.geometry.frames import safe_norm
 from doojax.geometry.sdf import signed_distance
+from doojax.modules import Jittable
 from doojax.types import Obstacles
 
 
-class Grid(eqx.Module):
+class Grid(Jittable):
     """Cubic voxels with faces along the world's axes; voxel arrays are indexed [x, y, z].
 
     The origin is data (moving the grid compiles nothing); resolution and shape are part of the program.

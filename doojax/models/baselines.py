@@ -5,10 +5,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from doojax.geometry.sdf import segment_signed_distance, signed_distance
+from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
 
-class Always(eqx.Module):
+class Always(Jittable):
     """Accepts every transition: planning without a classifier."""
 
     threshold: float = 0.5
@@ -25,7 +26,7 @@ class Always(eqx.Module):
         return jnp.ones(())
 
 
-class CollisionChecker(eqx.Module):
+class CollisionChecker(Jittable):
     """Accepts a transition if the predicted rope touches no obstacle.
 
     The released code marks the voxels within ``margin`` = 2 cm of an obstacle and looks up the rope's points

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
+from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
 
-class Calibration(eqx.Module):
+class Calibration(Jittable):
     """A logit's calibrated probability: scaled and shifted before the logistic function (Platt 1999).
 
     At first it changes nothing. `doojax.learning.calibration` fits it; no gradient reaches it.
@@ -28,7 +29,7 @@ class Calibration(eqx.Module):
         return jax.nn.sigmoid(stop_gradient(self.scale) * logit + stop_gradient(self.shift))
 
 
-class CalibratedClassifier(eqx.Module):
+class CalibratedClassifier(Jittable):
     """Probability that a predicted transition's error is below the threshold that it was trained for."""
 
     calibration: eqx.AbstractVar[Calibration]

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from doojax.geometry.sdf import signed_distance_and_gradient
 from doojax.models.calibration import CalibratedClassifier, Calibration
 from doojax.models.local import Origin, local_frame
+from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
 NEAR, FAR = 0.02, 0.1  # m: the two scales on which distances are seen
@@ -44,7 +45,7 @@ class ClassifierConfig:
         return 3 * self.grippers + 1
 
 
-class ChainConvolution(eqx.Module):
+class ChainConvolution(Jittable):
     """A residual convolution over three neighbours, written as a matrix product, which CPUs are good at.
 
     Products are shifted, not what goes into them: a third as much to copy.

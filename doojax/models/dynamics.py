@@ -9,6 +9,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from doojax.models.local import LocalFrame, Origin, Symmetry, flat, local_frame, unflat
+from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
 SMALLEST_SCALE = 0.03  # m: what varies less is not blown up, lest small errors look large a step later
@@ -48,7 +49,7 @@ class DynamicsConfig:
         return 3 * (self.points + self.grippers)
 
 
-class UnconstrainedDynamics(eqx.Module):
+class UnconstrainedDynamics(Jittable):
     """Next state = state + change(state, action), all in a local frame; obstacles are not looked at.
 
     Thesis section 2.3.7.1: a fully connected network with ReLU. Beyond it, the grippers' change is counted

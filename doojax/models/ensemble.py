@@ -6,10 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from doojax.models.dynamics import UnconstrainedDynamics
+from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
 
-class Ensemble(eqx.Module):
+class Ensemble(Jittable):
     """The mean of E members and the sum over all coordinates of the standard deviation among them.
 
     Thesis section 2.3.2.1, which writes the summed standard deviation as sigma^2; its unit here is the metre.

@@ -15,6 +15,7 @@ from doojax.models.dynamics import with_scales
 from doojax.models.ensemble import with_first
 from doojax.models.local import flat, local_origin, unflat
 from doojax.models.rasters import Encoder, ViewConfig
+from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
 
@@ -34,7 +35,7 @@ class FullDynamicsConfig:
         return 3 * (self.points + self.view.grippers)
 
 
-class FullDynamics(eqx.Module):
+class FullDynamics(Jittable):
     """Next state = state + change(obstacles, state, action), in a local frame with the world's axes.
 
     A few numbers that say what the scene is like multiply, each with each, what a layer makes of state and

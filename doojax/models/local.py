@@ -7,18 +7,18 @@ canonical frame takes out these two as well, so that a network need not learn th
 
 from typing import Literal
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from doojax.geometry.frames import safe_norm
+from doojax.modules import Jittable
 from doojax.types import RopeState
 
 Origin = Literal["gripper", "centroid"]
 Symmetry = Literal["translation", "canonical"]
 
 
-class LocalFrame(eqx.Module):
+class LocalFrame(Jittable):
     """A frame with a vertical z axis; if it is mirrored, its y axis points to the right of x."""
 
     origin: Float[Array, "3"]  # world frame, metres

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from doojax.geometry.sdf import signed_distance
 from doojax.geometry.voxels import Grid, inverse_log_raster
 from doojax.models.local import Origin, local_origin
+from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
 SHARPNESS = 2000.0  # per square metre: a raster falls to one half at 1.9 cm
@@ -122,7 +123,7 @@ def gaussian_image(points: Float[Array, "N 3"], grid: Grid) -> Float[Array, "Z X
     return (z[:, :, None, None] * x[:, None, :, None] * y[:, None, None, :]).max(0)
 
 
-class Encoder(eqx.Module):
+class Encoder(Jittable):
     """Convolutions without padding, ReLU, and the largest of every few voxels; then features of unit scale.
 
     On a CPU, XLA's convolutions over three axes take ten times as long as those over two: here a kernel's

@@ -1,15 +1,15 @@
 """Which action frees a rope whose motion cannot be predicted (thesis sections 2.3.6 and 2.3.7)."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
+from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
 
-class RecoveryNetwork(eqx.Module):
+class RecoveryNetwork(Jittable):
     """Probability that an action leads to where actions are accepted again.
 
     The thesis takes the classifier's convolutions as they are and trains two layers behind them; here all

@@ -2,18 +2,18 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from doojax.modules import Jittable
 from doojax.tasks.base import Task
 from doojax.types import RopeState
 
 BEYOND = 1e3  # m, from a target to a body that does not count for it
 
 
-class Goal(eqx.Module):
+class Goal(Jittable):
     """K targets, each to be reached by one of some bodies: the rope's N points, then the G grippers."""
 
     targets: Float[Array, "*b K 3"]  # world frame, metres

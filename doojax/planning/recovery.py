@@ -6,13 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from doojax.models.protocols import Recovery
+from doojax.modules import Jittable
 from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
 
 SAMPLES = 32  # actions that are compared
 
 
-class RandomRecovery(eqx.Module):
+class RandomRecovery(Jittable):
     """Judges all actions alike: the baseline."""
 
     def __call__(

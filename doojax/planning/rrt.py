@@ -23,7 +23,7 @@ from jax.random import fold_in
 from jaxtyping import Array, Bool, Float, Int
 
 from doojax.models.protocols import Dynamics, Reliability
-from doojax.parts import in_parts, worth_parts
+from doojax.parts import in_parts, traced, worth_parts
 from doojax.planning.goals import bodies_of
 from doojax.planning.metric import Sampler, nearest, rope_sample
 from doojax.planning.tree import Problem, Tree
@@ -98,7 +98,11 @@ class Rrt(eqx.Module):
 def search(planner: Rrt, problem: Problem) -> Tree:
     """Grow a tree for each of R problems, side by side, until it is done or the budget is spent.
 
-    The trees of a batch do not depend on one another. On a CPU each processor grows one at a time.
+    The trees of a batch do not depend on one another. On a CPU each processor grows one at a time. Inside of
+    `jax.jit` the whole search is one loop.
+
+    Raises:
+        ValueError: inside of `jax.jit`, for dynamics that run outside of it.
     """
     if not isinstance(planner.dynamics, HostDynamics) and worth_parts(1, problem, planner):
         return in_parts(partial(_search, planner), 1, problem)
@@ -107,9 +111,18 @@ def search(planner: Rrt, problem: Problem) -> Tree:
 
 def _search(planner: Rrt, problem: Problem) -> Tree:
     settings = planner.settings
-    grow = _grow_outside if isinstance(planner.dynamics, HostDynamics) else _grow
+    outside, inside_jit = isinstance(planner.dynamics, HostDynamics), traced(planner, problem)
+    if outside and inside_jit:
+        raise ValueError(
+            "search was called inside of jax.jit with dynamics that run outside of it "
+            f"({type(planner.dynamics).__name__}): call it outside, or plan with dynamics that are JAX "
+            "functions, such as a simulator with engine='mjx'"
+        )
+    grow = _grow_outside if outside else _grow
     tree, lanes = _start(planner.task, settings, problem)
     first, end = 1, 1 + settings.expansions * settings.lanes
+    if inside_jit:  # nobody can look how far it got: the loop ends itself when all problems are done
+        return _grow((planner, problem, lanes, jnp.asarray([first, end], dtype=jnp.int32)), tree)[0]
     while first < end:
         until = min(first + AT_ONCE * settings.lanes, end)
         slots = jnp.asarray([first, until], dtype=jnp.int32)

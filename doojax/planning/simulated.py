@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from doojax.models.protocols import Dynamics
+from doojax.modules import Jittable
 from doojax.planning.rrt import HostDynamics
 from doojax.simulation.scenes import parked_poses
 from doojax.simulation.state import SimState, Simulator
@@ -18,7 +19,7 @@ class SimulatedState(RopeState):
     simulation: SimState
 
 
-class Simulated(eqx.Module):
+class Simulated(Jittable):
     """One step of a simulator that is pure, as `Dynamics` of `SimulatedState`; obstacles are in the state."""
 
     simulator: Simulator

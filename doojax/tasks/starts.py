@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.frames import quaternion_from_yaw, quaternion_multiply, rotate
 from doojax.geometry.sdf import signed_distance
+from doojax.modules import Jittable
 from doojax.simulation.scenes import Scene, obstacles_at, parked_poses
 from doojax.simulation.state import Fault, SimState
 
@@ -33,7 +34,7 @@ class RopeBank(eqx.Module):
     radius: Float[Array, "P"]  # m, of rope or gripper around each sample
 
 
-class RandomStart(eqx.Module):
+class RandomStart(Jittable):
     """Draws a SimState; see the module."""
 
     bank: RopeBank

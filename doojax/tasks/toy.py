@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.sdf import signed_distance
+from doojax.modules import Jittable
 from doojax.simulation.layout import Observation, clearance, stretch
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, obstacles_at, parked_poses
@@ -47,7 +48,7 @@ def straight(gripper: Float[Array, "3"], angle: Float[Array, ""]) -> Float[Array
     return gripper - PITCH * jnp.arange(LINKS - 1, -1, -1.0)[:, None] * direction
 
 
-class ToySimulator(eqx.Module):
+class ToySimulator(Jittable):
     """Analytic dynamics: the gripper stops where it would touch, and the rope follows, through walls too.
 
     So the model "the gripper gets where it is sent" holds in free space and fails at the wall.

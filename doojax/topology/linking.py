@@ -27,6 +27,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from doojax.modules import Jittable
+
 Points = np.ndarray | Array | Sequence[Any]
 """What an unchecked polyline or point may be given as: an array, or lists of numbers."""
 
@@ -45,7 +47,7 @@ class Linking(eqx.Module):
     touching: Bool[Array, "*b"]  # the margin is not above `TOUCHING` of the bounding box: the number is void
 
 
-class Grid(eqx.Module):
+class Grid(Jittable):
     """The grid that curves are snapped to before they are compared."""
 
     corner: Float[Array, "3"]

@@ -10,6 +10,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from doojax.modules import Jittable
+
 
 class Signature(eqx.Module):
     """A multiset of at most L vectors, one per grasp loop: its linking numbers with S obstacle loops.
@@ -127,7 +129,7 @@ def _alike(first: Signature, second: Signature) -> tuple[Int[Array, "L S"], Int[
     return pad(first.rows), pad(second.rows)
 
 
-class Blocklist(eqx.Module):
+class Blocklist(Jittable):
     """Up to C distinct signatures that a planner shall not try again. Immutable: `add` returns a new one."""
 
     entries: Signature  # with C as batch axis

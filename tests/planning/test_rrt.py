@@ -235,3 +235,23 @@ def test_problems_that_nobody_could_solve_are_refused():
         check_problem(TOY, problem(goal=(0.9, 0.0)))
     with pytest.raises(ValueError, match=r"in collision at the start: point 4 of the rope is 2.0 cm inside"):
         check_problem(TOY, problem(start=(0.15, 0.0)))
+
+
+def test_a_search_inside_of_jit_grows_the_tree_that_it_grows_outside():
+    problems = batch(problem(goal=(0.4, -0.3)), problem(obstacles=walls(centre=(-0.3, 0.0), half=(0.4, 0.4))))
+    outside = _search(PLANNER, problems)
+    inside = jax.jit(lambda problems: search(PLANNER, problems))(problems)
+    filled = int(outside.used.max())
+    assert filled > 1 + SMALL.lanes and np.array_equal(inside.used, outside.used)
+    assert np.array_equal(inside.parent[:, :filled], outside.parent[:, :filled])
+    points = np.asarray(outside.state.points[:, :filled])
+    assert np.asarray(inside.state.points[:, :filled]) == pytest.approx(points, abs=1e-5)
+
+
+def test_a_search_inside_of_jit_with_dynamics_outside_of_it_is_an_error_that_says_so():
+    class Outside:
+        def many(self, obstacles, states, actions):
+            raise AssertionError("never called")
+
+    with pytest.raises(ValueError, match=r"inside of jax.jit with dynamics that run outside of it \(Outside"):
+        jax.jit(lambda one: search(Rrt(Outside(), CAREFUL, TOY, SMALL), one))(batch(problem()))
