@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "doojax").rglob("*.py"))
 
 # A module imports only what stands to its left, and its own package.
-ORDER = ["types", "modules", "parts", "geometry", "topology", "simulation", "tasks", "datasets"]
+ORDER = ["types", "keys", "modules", "parts", "geometry", "topology", "simulation", "tasks", "datasets"]
 ORDER += ["models", "augmentation", "learning", "planning", "experiments", "benchmarks", "viewer", "cli"]
 ALLOWED_IN = {  # packages from elsewhere that only some parts may import
     "mujoco": {"simulation"},
@@ -95,6 +95,9 @@ def habits(node: ast.AST, here: str) -> Iterator[str]:
         yield "uses PRNGKey; use jax.random.key"
     if isinstance(node, ast.keyword) and node.arg == "allow_pickle" and ast.unparse(node.value) != "False":
         yield "allows pickle"
+    made = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+    if here != "keys" and re.search(r"\brandom\.key$|^key$", made):
+        yield "makes a key of a bare seed, which others make, too; use doojax.keys.stream"
     if here == "cli":
         return
     if isinstance(node, ast.Call):
@@ -154,6 +157,8 @@ def test_a_module_keeps_the_rules(path):
         ("doojax.geometry.sdf", "os.environ.setdefault('A', '1')", "may change the whole process"),
         ("doojax.geometry.sdf", "importlib.import_module('viser')", "hides an import"),
         ("doojax.geometry.sdf", "x = 1\n" * 401, "has 401 lines"),
+        ("doojax.learning.fit", "key = jax.random.key(seed)", "use doojax.keys.stream"),
+        ("doojax.learning.fit", "from jax.random import key\nk = key(seed)", "use doojax.keys.stream"),
         ("doojax.extras.things", "", "no known part"),
     ],
 )

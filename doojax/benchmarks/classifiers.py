@@ -23,6 +23,7 @@ from jaxtyping import Array
 
 from doojax.benchmarks.medians import median_row
 from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.keys import stream
 from doojax.learning.presets import PresetName, classifier_preset, voxel_classifier_preset
 from doojax.models.classifier import DistanceClassifier
 from doojax.models.voxel_classifier import VoxelClassifier
@@ -66,7 +67,7 @@ def classifiers(
     """
     rows: list[Row] = []
     for task in map(make_task, tasks):
-        examples = drawn(task, max(KINDS["classifier"][2]), key=jax.random.key(SEED))
+        examples = drawn(task, max(KINDS["classifier"][2]), key=stream(SEED, "bench", "classifiers"))
         rows += rows_of(task.name, take_turns(runs_of(task, *examples)))
     command = f"doojax bench classifiers --tasks {' '.join(tasks)}"
     write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
@@ -88,7 +89,7 @@ def runs_of(task: Task, obstacles: Obstacles, transitions: Transition) -> dict[N
     """What is timed: functions that judge a batch and wait."""
     runs = {}
     for preset, (kind, (network, preset_of, batches)) in product(get_args(PresetName), KINDS.items()):
-        model = network(preset_of(preset, task).network, key=jax.random.key(SEED))
+        model = network(preset_of(preset, task).network, key=stream(SEED, "bench", "network"))
         for batch in batches:
             part = jax.tree.map(lambda leaf, b=batch: leaf[:b], (obstacles, transitions))
             runs[preset, kind, batch] = partial(_judge_and_wait, model, *part)

@@ -8,7 +8,6 @@ rope, in the tests.
 from dataclasses import replace
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
@@ -18,6 +17,7 @@ from doojax.benchmarks.rollouts import SEED, sampled_states
 from doojax.datasets.collect import random_trajectories
 from doojax.experiments.reports import Row, row, show, write_summary
 from doojax.geometry.curves import catenary, clamped_elastica
+from doojax.keys import numbered, stream
 from doojax.simulation.build import with_parameters
 from doojax.simulation.engines import make_simulator, resolve_engine
 from doojax.simulation.rope import RopeKind, RopeModel, RopeParameters
@@ -74,7 +74,7 @@ def soundness(task: str, trajectories: int) -> list[Row]:
     """Faults, penetration and stretch in random trajectories of phase two on MuJoCo C."""
     the_task = make_task(task)
     simulator = the_task.simulator("mujoco", "constrained")
-    keys = jax.random.split(jax.random.key(SEED), trajectories)
+    keys = numbered(stream(SEED, "bench", "physics"), range(trajectories))
     _, _, seen = random_trajectories(the_task, simulator, keys, PERIODS, "constrained")
     clearance, stretch = np.asarray(seen.clearance)[:, 1:], np.asarray(seen.stretch)
     deep = (clearance < -DEPTH).mean()

@@ -28,6 +28,7 @@ from doojax.experiments.methods import find_models, make_method, pretrained_mode
 from doojax.experiments.reports import Row, row, write_summary
 from doojax.experiments.scenes import draw_scenes
 from doojax.experiments.statistics import bootstrap
+from doojax.keys import generator, numbered, stream
 from doojax.models import CollisionChecker
 from doojax.planning import Goal, Problem, Rrt, RrtSettings, search
 from doojax.planning.metric import point_sample, rope_sample
@@ -135,7 +136,7 @@ def problems_of(task: Task, count: int) -> list[Problem]:
     starts: SimState = jax.tree.map(jnp.asarray, drawn.starts)
     obstacles, rope = jax.vmap(simulator.obstacles)(starts), simulator.observations(starts).rope
     goals: Goal = jax.tree.map(jnp.asarray, drawn.goals)
-    everything = Problem(obstacles, rope, goals, jax.random.split(jax.random.key(SEED), count))
+    everything = Problem(obstacles, rope, goals, numbered(stream(SEED, "bench", "planner"), range(count)))
     return [jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], everything) for i in range(count)]
 
 
@@ -244,7 +245,7 @@ class Ompl:
             def maxSampleCount(self) -> int:
                 return 1 << 30
 
-        target, rng = np.asarray(one.goal.targets[0]), np.random.default_rng(SEED)
+        target, rng = np.asarray(one.goal.targets[0]), generator(SEED, "bench", "ompl")
         setup = control.SimpleSetup(controls)
         information = setup.getSpaceInformation()
         setup.setStatePropagator(propagate)

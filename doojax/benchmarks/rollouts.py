@@ -20,6 +20,7 @@ from rich.console import Console
 
 from doojax.datasets.collect import random_trajectories
 from doojax.experiments.reports import row, show, write_summary
+from doojax.keys import numbered, stream
 from doojax.parts import processors
 from doojax.simulation.engines import available_engines, resolve_engine
 from doojax.simulation.engines.bare import bare_rollout
@@ -97,7 +98,7 @@ def sampled_states(task: Task, contact: bool, count: int) -> tuple[SimState, jax
     """
     phase = "constrained" if contact else "unconstrained"
     simulator = task.simulator("mujoco", phase)
-    keys = jax.random.split(jax.random.key(SEED), SAMPLES)
+    keys = numbered(stream(SEED, "bench", "rollouts"), range(SAMPLES))
     _, last, seen = random_trajectories(task, simulator, keys, PERIODS, phase)
     wanted = np.asarray(seen.clearance[:, -1]) < TOUCHING if contact else np.ones(SAMPLES, dtype=bool)
     if not wanted.any():

@@ -29,6 +29,7 @@ from rich.table import Table
 from doojax import topology
 from doojax.benchmarks.medians import median_with_interval
 from doojax.experiments.reports import Row, row, write_summary
+from doojax.keys import stream
 from doojax.topology.describe import THREADING, Scene, read_scene
 
 SEED = 0
@@ -115,7 +116,7 @@ def jittered(scene: Scene) -> topology.Grasps:
         return copies + JITTER * jax.random.normal(key, copies.shape) if is_points else copies
 
     leaves, structure = jax.tree.flatten(scene.grasps)
-    keys = jax.random.split(jax.random.key(SEED), len(leaves))
+    keys = jax.random.split(stream(SEED, "bench", "signature"), len(leaves))
     return jax.tree.unflatten(structure, map(spread, leaves, keys))
 
 

@@ -19,6 +19,7 @@ from jaxtyping import Array
 
 from doojax.benchmarks.medians import median_row
 from doojax.experiments.reports import Row, show, write_summary
+from doojax.keys import stream
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import FitConfig, epoch, learning_rates, start
 from doojax.learning.losses import DynamicsProblem
@@ -65,7 +66,9 @@ def measure(task: Task, preset: PresetName) -> list[Row]:
     chosen = dynamics_preset(preset, task)
     steps = STEPS[preset]
     periods = task.trajectory_states["unconstrained"] - 1
-    train = random_trajectories(task, steps * chosen.fit.batch_size, periods, key=jax.random.key(SEED))
+    train = random_trajectories(
+        task, steps * chosen.fit.batch_size, periods, key=stream(SEED, "bench", "trajectories")
+    )
     few = jax.tree.map(lambda leaf: leaf[:4], train)
     problem = DynamicsProblem(train, few, chosen.network, preset != "thesis")
 
@@ -116,7 +119,7 @@ def random_trajectories(task: Task, count: int, periods: int, *, key: Array) -> 
 
 def our_epochs(problem: DynamicsProblem, config: FitConfig) -> Callable[[int], None]:
     """A function that trains one epoch, given its number, from 1, as `doojax.learning.fit.fit` does."""
-    key = jax.random.key(SEED)
+    key = stream(SEED, "bench", "training")
     state, static = start(problem, config, None, key=key)
 
     def run(number: int) -> None:
@@ -133,7 +136,7 @@ def flax_epochs(problem: DynamicsProblem, config: FitConfig) -> Callable[[int], 
     """The same in flax, step by step, without validation."""
     from doojax.benchmarks.flax_peer import peer_state, peer_step
 
-    key = jax.random.key(SEED)
+    key = stream(SEED, "bench", "training")
     steps = len(problem.train) // config.batch_size
     numbers = jnp.arange(1, 1 + config.epochs)
     rates = jax.vmap(lambda number: learning_rates(config, number, steps))(numbers).reshape(-1)

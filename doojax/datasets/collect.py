@@ -12,6 +12,7 @@ from rich.console import Console
 from doojax.datasets.manifest import Field
 from doojax.datasets.progress import progress_bar
 from doojax.datasets.writer import DatasetWriter
+from doojax.keys import numbered, stream
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks import make_task
@@ -79,7 +80,7 @@ def collect(
     with progress_bar(console) as progress:
         bar = progress.add_task(f"{task} on {engine}", total=sum(len(row) for row in rows), note="")
         for shard, row in zip(missing, rows, strict=True):
-            keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(jnp.array(row))
+            keys = numbered(stream(seed, "collect", task, phase), row)
             start, _, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
             _require_room(start, row)
             writer.write(shard, stored_arrays(simulator, start, trajectory, np.array(row)))

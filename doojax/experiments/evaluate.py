@@ -30,7 +30,6 @@ from doojax.simulation.state import Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
 
-SEEDS_APART = 100_000  # between the trials of two seeds
 ON_CPU, ON_ACCELERATORS = 8, 32  # trials side by side
 PLANNING, BUDGET = RrtSettings(), TrialSettings()
 
@@ -179,7 +178,7 @@ def chosen_trials(scenes: SceneSet, numbers: Sequence[int], seed: int) -> Trials
     """The trials with these numbers."""
     rows = np.asarray(numbers)
     starts, goals = jax.tree.map(lambda leaf: leaf[rows], (scenes.starts, scenes.goals))
-    return Trials(starts, goals, [seed * SEEDS_APART + number for number in numbers])
+    return Trials(starts, goals, numbers, seed)
 
 
 def attempted(
@@ -193,7 +192,7 @@ def attempted(
 ) -> list[TrialRecord]:
     """What `run_trials` gives; if it fails, every wanted trial is run without the others, and those that fail
     again are recorded as crashed. Those that are not wanted have records that say no more than that."""
-    count = len(trials.seeds)
+    count = len(trials.numbers)
 
     def run(some: Trials) -> list[TrialRecord]:
         return run_trials(task, simulator, method, planning, budget, some, keep_trees=keep_trees)
@@ -204,11 +203,11 @@ def attempted(
         if count == 1:
             return [crashed(task, simulator, method, trials, error, traceback.format_exc())]
     records = []
-    for i, seed in enumerate(trials.seeds):
+    for i, number in enumerate(trials.numbers):
         rows = np.full(count, i)  # as many, and so the same shapes, but only the first runs
         starts, goals = jax.tree.map(lambda leaf, r=rows: leaf[r], (trials.starts, trials.goals))
         first = trials.wanted is None or trials.wanted[i]
-        alone = Trials(starts, goals, [seed] * count, [first] + [False] * (count - 1))
+        alone = Trials(starts, goals, [number] * count, trials.seed, [first] + [False] * (count - 1))
         try:
             records.append(run(alone)[0])
         except Exception as error:

@@ -13,6 +13,7 @@ from doojax.experiments.model_pictures import draw_classifier, draw_dynamics
 from doojax.experiments.recovery_trials import recovery_rows
 from doojax.experiments.reports import Row, row, show, write_summary
 from doojax.experiments.statistics import bootstrap
+from doojax.keys import generator
 from doojax.learning.calibration import conformal_threshold
 from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.data import Trajectories, load_split, open_dataset
@@ -181,7 +182,7 @@ def resplits(
         of each resplit the fraction of accepted transitions that are wrong, 0 where none is accepted, and
         the fraction that is accepted.
     """
-    rng = np.random.default_rng(seed)
+    rng = generator(seed, "evaluate-model", "resplits")
     numbers = np.unique(trajectory)
     wrong, accepted = np.zeros(RESPLITS), np.zeros(RESPLITS)
     for i in range(RESPLITS):
@@ -199,6 +200,6 @@ def _by_trajectory(trajectory: np.ndarray, accepted: np.ndarray, right: np.ndarr
     numbers, index = np.unique(trajectory, return_inverse=True)
     totals = np.zeros((len(numbers), 4))
     np.add.at(totals, index, kinds)
-    rng = np.random.default_rng(seed)
+    rng = generator(seed, "evaluate-model", "bootstrap")
     drawn = rng.multinomial(len(numbers), np.full(len(numbers), 1 / len(numbers)), size=1000) @ totals
     return Counts(*drawn.T)

@@ -11,6 +11,7 @@ from doojax.experiments.methods import find_models, make_method, pretrained_mode
 from doojax.experiments.records import save_record
 from doojax.experiments.scenes import FOLDER, load_scenes
 from doojax.experiments.trial import Trials, TrialSettings, run_trials
+from doojax.keys import stream
 from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem, gripper_goal, point_goal
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import SimState, Simulator
@@ -74,10 +75,10 @@ def plan(
     aim = all_of(*wanted) if wanted else aim
     batch: tuple[SimState, Goal] = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (start, aim))
     rope = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).rope)
-    check_problem(the_task, Problem(simulator.obstacles(start), rope, aim, jax.random.key(seed)))
+    check_problem(the_task, Problem(simulator.obstacles(start), rope, aim, stream(seed, "plan")))
 
     chosen = make_method(method, the_task, simulator, found)
-    trials = Trials(*batch, [seed])
+    trials = Trials(*batch, [scene or 0], seed)
     (record,) = run_trials(
         the_task, simulator, chosen, planning, budget, trials, keep_trees=True, execute=execute
     )
@@ -97,7 +98,7 @@ def plan(
 def _scene(task: Task, simulator: Simulator, scene: int | None, seed: int) -> tuple[SimState, Goal]:
     """A start and the goal that goes with it."""
     if scene is None:
-        start_key, goal_key = jax.random.split(jax.random.key(seed))
+        start_key, goal_key = (stream(seed, "plan", name) for name in ("start", "goal"))
         start = simulator.reset(start_key)
         return start, point_goal(task, task.sample_goal(goal_key, simulator.obstacles(start)))
     known = load_scenes(FOLDER / f"{task.name}.scenes")

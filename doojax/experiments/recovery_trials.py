@@ -11,6 +11,7 @@ from doojax.datasets.replay import stored_starts
 from doojax.datasets.store import Dataset
 from doojax.experiments.reports import Row, row
 from doojax.experiments.statistics import success_rate
+from doojax.keys import generator, stream
 from doojax.learning.data import Trajectories
 from doojax.learning.recovery import acceptances
 from doojax.models.protocols import Dynamics, Recovery, Reliability
@@ -39,7 +40,9 @@ def recovery_rows(
         ValueError: no state of the test split is stuck.
     """
     task = make_task(tags["task"])
-    find_key, check_key, act_key = jax.random.split(jax.random.key(seed), 3)
+    find_key, check_key, act_key = (
+        stream(seed, "recovery trials", name) for name in ("find", "check", "act")
+    )
     accepted = acceptances(task, dynamics, classifier, test.obstacles, test.states, key=find_key)
     stuck = np.asarray(accepted)[:, :-1] == 0
     rows = np.flatnonzero(stuck.any(1))[:MOST_STATES]
@@ -109,7 +112,7 @@ def _ratio_interval(
     first: Bool[np.ndarray, "B"], second: Bool[np.ndarray, "B"], seed: int
 ) -> tuple[float, str, float | None, float | None]:
     """The ratio of two fractions over the same states with its bootstrap interval, and no unit."""
-    drawn = np.random.default_rng(seed).integers(len(first), size=(DRAWS, len(first)))
+    drawn = generator(seed, "recovery trials", "bootstrap").integers(len(first), size=(DRAWS, len(first)))
     below = second[drawn].mean(1)
     ratio = float(first.mean() / max(second.mean(), 1 / len(second)))
     if (below == 0).any():

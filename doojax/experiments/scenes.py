@@ -20,6 +20,7 @@ from rich.table import Table
 from doojax.datasets.collect import random_trajectories
 from doojax.experiments.difficulty import difficulty
 from doojax.experiments.statistics import bootstrap
+from doojax.keys import numbered, stream
 from doojax.planning import Goal, point_goal
 from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
@@ -98,12 +99,13 @@ def draw_scenes(task: Task, count: int, seed: int, *, caught: bool = False) -> S
     simulator = task.simulator()
     reset = jax.jit(jax.vmap(simulator.reset))
     aim = jax.jit(jax.vmap(task.sample_goal))
+    kind = "caught" if caught else "easy"
     parts: list[Any] = []
     found = drawn = 0
     while found < count:
         if drawn > MOST_DRAWN * count + 10 * DRAWN:
             raise ValueError(f"only {found} of {drawn} scenes of {task.name} are hard enough: {rule(caught)}")
-        keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(seed), i))(drawn + jnp.arange(DRAWN))
+        keys = numbered(stream(seed, "scenes", task.name, kind), range(drawn, drawn + DRAWN))
         start_keys, goal_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
         if caught:
             starts, held = _caught(task, simulator, start_keys)

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from doojax.experiments.records import Event, EventKind, Look, PlanRecord, TrialRecord
+from doojax.keys import numbered, stream
 from doojax.models.protocols import Dynamics, Recovery, Reliability
 from doojax.parts import in_threads
 from doojax.planning import (
@@ -84,7 +85,8 @@ class Trials(NamedTuple):
 
     starts: SimState
     goals: Goal
-    seeds: Sequence[int]  # of everything that is random in each trial
+    numbers: Sequence[int]  # with the seed, they say what is random in each trial
+    seed: int = 0
     wanted: Sequence[bool] | None = None  # by default all are; the others fill up the batch and end at once
 
 
@@ -149,7 +151,7 @@ def run_trials(
     planner = Rrt(method.dynamics, method.reliability, task, planning)
     states, goals = trials.starts, trials.goals
     obstacles = jax.vmap(simulator.obstacles)(states)
-    keys = jax.vmap(jax.random.key)(jnp.asarray(trials.seeds))
+    keys = numbered(stream(trials.seed, "trials"), np.asarray(trials.numbers, np.uint32))
     rope = observed(simulator, states)
     logs = [Log([p], [g]) for p, g in zip(np.asarray(rope.points), np.asarray(rope.grippers), strict=True)]
     for log, run in zip(logs, trials.wanted or [True] * len(logs), strict=True):
@@ -189,7 +191,7 @@ def run_trials(
                 logs[i].note("recover", "nothing that was tried is reliable")
         states, rope = _execute(simulator, states, rope, logs, moves, settings)
     return [
-        _record(task, method, log, trials.seeds[i], *_element((obstacles, trials.starts, goals), i))
+        _record(task, method, log, trials, i, *_element((obstacles, trials.starts, goals), i))
         for i, log in enumerate(logs)
     ]
 
@@ -237,7 +239,7 @@ def crashed(
     log = Log([np.asarray(rope.points[0])], [np.asarray(rope.grippers[0])])
     log.missing = float(_distances(trials.goals, rope)[0])
     log.stop(f"{CRASHED}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
-    record = _record(task, method, log, trials.seeds[0], *here)
+    record = _record(task, method, log, trials, 0, *here)
     return replace(record, about={**record.about, "traceback": details})
 
 
@@ -320,7 +322,14 @@ def _execute(
 
 
 def _record(
-    task: Task, method: Method, log: Log, seed: int, obstacles: Obstacles, start: SimState, goal: Goal
+    task: Task,
+    method: Method,
+    log: Log,
+    trials: Trials,
+    index: int,
+    obstacles: Obstacles,
+    start: SimState,
+    goal: Goal,
 ) -> TrialRecord:
     targets, points = np.asarray(goal.targets), np.stack(log.points)
     allowed = np.flatnonzero(np.asarray(goal.bodies)[0])
@@ -328,6 +337,7 @@ def _record(
     nearest = int(allowed[np.argmin(np.nan_to_num(np.linalg.norm(ends - targets[0], axis=-1), nan=np.inf))])
     actions = np.array(log.actions, np.float32).reshape(-1, task.grippers, 3)
     about: dict[str, Any] = {
+        "trial": int(trials.numbers[index]),
         "end": log.end,
         "final_error_m": log.missing,
         "searches": len(log.plans),
@@ -340,7 +350,7 @@ def _record(
     return TrialRecord(
         task=task.name,
         method=method.name,
-        seed=seed,
+        seed=trials.seed,
         look=Look.of(task.scene),
         obstacles=obstacles,
         goal=targets[0],

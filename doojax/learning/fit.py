@@ -16,6 +16,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from doojax.keys import stream
 from doojax.learning.runs import RunDirectory
 
 Report = Callable[[int, int, dict[str, np.ndarray]], None]
@@ -99,7 +100,7 @@ def fit(
     Raises:
         ValueError: if a loss is not finite; the last checkpoint is from before.
     """
-    key = jax.random.key(seed)
+    key = stream(seed, "fit")
     state, static = start(problem, config, members, key=key)
     number, state = run.resume(state)
     while number < config.epochs and not exhausted(state, config):

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from doojax.datasets.files import MANIFEST, file_digest
 from doojax.datasets.store import Dataset
+from doojax.keys import stream
 from doojax.learning.calibration import conformal_threshold, fit_calibration
 from doojax.learning.checkpoints import MODEL, Header, load_model
 from doojax.learning.data import load_split, open_dataset
@@ -159,10 +159,11 @@ def train_recovery(
         "classifier": model_file(classifier),
     }
     run = open_run(out, "recovery", task.name, chosen, seed, files)
-    keys = jax.random.split(jax.random.key(seed), 2)
     train, validation = (
-        label_recovery(task, ensemble, judge, load_split(dataset, split), key=key)
-        for split, key in zip(("train", "validation"), keys, strict=True)
+        label_recovery(
+            task, ensemble, judge, load_split(dataset, split), key=stream(seed, "recovery labels", split)
+        )
+        for split in ("train", "validation")
     )
     if len(train) < FEWEST_RECOVERIES or len(validation) == 0:
         raise ValueError(

@@ -67,7 +67,8 @@ def test_one_record_for_every_scene(whole):
     files = [record_file(whole, METHOD, i) for i in range(7)]
     assert sorted(whole.rglob("*.npz")) == files
     records = [load_record(file) for file in files]
-    assert [record.seed for record in records] == list(range(7))
+    assert [record.about["trial"] for record in records] == list(range(7))
+    assert {record.seed for record in records} == {0}
     assert len({record.points[0].tobytes() for record in records}) == 7
     seconds = [json.loads(line) for line in (whole / METHOD / "seconds.jsonl").read_text().splitlines()]
     assert [entry["trials"] for entry in seconds] == [3, 3, 1]

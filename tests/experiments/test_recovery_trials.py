@@ -13,6 +13,7 @@ from doojax.models.recovery import carried_along
 from doojax.planning.recovery import RandomRecovery
 
 TAGS = {"task": "toy"}
+NEAR = -0.3  # m: ropes below it, to -0.5, are stuck, but an action or two may free them
 
 
 class Carried(eqx.Module):
@@ -47,32 +48,40 @@ def data(tmp_path_factory) -> Dataset:
     return open_dataset(folder)
 
 
-def measured(data: Dataset, recovery, above: float = 0.0) -> dict:
-    rows = recovery_rows(data, load_split(data, "test"), Carried(), Above(above), recovery, TAGS, seed=0)
+def measured(data: Dataset, recovery, above: float = 0.0, seed: int = 0) -> dict:
+    rows = recovery_rows(data, load_split(data, "test"), Carried(), Above(above), recovery, TAGS, seed=seed)
     return {(row.metric, row.tags.get("policy"), row.tags.get("actions")): row for row in rows}
 
 
 def test_going_towards_what_is_accepted_frees_sooner_than_chance_and_away_later(data):
-    up, down = measured(data, Along(1.0)), measured(data, Along(-1.0))
+    up, down = measured(data, Along(1.0), NEAR), measured(data, Along(-1.0), NEAR)
     for most in (1, MOST_ACTIONS):
         learned, chance, wrong = (
             found["unstuck_probability", policy, most].value
             for found, policy in ((up, "learned"), (up, "random"), (down, "learned"))
         )
-        assert learned > chance > wrong
+        assert learned >= chance > wrong == 0, most
+    assert up["unstuck_probability", "learned", 1].value > up["unstuck_probability", "random", 1].value
     assert up["unstuck_ratio", None, None].value > 1
     assert up["actions_until_unstuck", "learned", None].value < 0.7 * MOST_ACTIONS
-    # 0.1 m an action at most, from 0.5 m below: five straight up would do
-    assert up["unstuck_probability", "learned", MOST_ACTIONS].value == 1
+    # 0.1 m an action at most, from 0.2 m below, and 0.1 m below is near enough: two up do, but for the wall
+    assert up["unstuck_probability", "learned", MOST_ACTIONS].value > 0.8
 
 
 def test_a_recovery_that_is_random_is_as_good_as_random(data):
-    found = measured(data, RandomRecovery())
-    for metric in ("unstuck_probability", "actions_until_unstuck"):
-        for (name, policy, actions), row in found.items():
-            if name == metric and policy == "learned":
-                assert row.value == found[metric, "random", actions].value
-    assert found["unstuck_ratio", None, None].value == pytest.approx(1)
+    """A policy against itself, but each with an own seed: not the same figures, yet figures that agree."""
+    found, other = (measured(data, RandomRecovery(), NEAR, seed=seed) for seed in (0, 1))
+    assert found["unstuck_probability", "random", 1].value > 0
+    for actions in (1, MOST_ACTIONS):
+        one, two = (
+            found["unstuck_probability", "learned", actions],
+            other["unstuck_probability", "random", actions],
+        )
+        assert one.low <= two.high and two.low <= one.high
+    one, two = (rows["actions_until_unstuck", "random", None].value for rows in (found, other))
+    assert one != two and one == pytest.approx(two, rel=0.5)
+    ratio = found["unstuck_ratio", None, None]
+    assert ratio.value == pytest.approx(1)
 
 
 def test_one_stuck_state_a_trajectory_counts(data):

@@ -78,7 +78,7 @@ def test_the_same_seeds_give_the_same_trials_whatever_runs_beside_them():
         first, second = records("classifier")[index], again[index]
         assert np.array_equal(first.points, second.points)
         assert first.events == second.events and counted(first) == counted(second)
-    other = trials()._replace(seeds=[17, 18, 19])
+    other = trials()._replace(numbers=[17, 18, 19])
     other = run_trials(TOY, SIMULATOR, METHODS["classifier"], PLANNING, SETTINGS, other)
     assert [r.events for r in other] != [r.events for r in records("classifier")]
 

@@ -31,7 +31,7 @@ def trials(goals=GOALS, seed: int = 0) -> Trials:
     """One trial for each goal, each from a start of its own."""
     starts = jax.vmap(SIMULATOR.reset)(jax.random.split(jax.random.key(seed), len(GOALS)))
     aims = [point_goal(TOY, jnp.array([*goal, HEIGHT])) for goal in goals]
-    return Trials(starts, jax.tree.map(lambda *leaves: jnp.stack(leaves), *aims), [7, 8, 9])
+    return Trials(starts, jax.tree.map(lambda *leaves: jnp.stack(leaves), *aims), [7, 8, 9], 2**40)
 
 
 @cache
