@@ -8,6 +8,7 @@ import hashlib
 import json
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
@@ -28,7 +29,7 @@ def stream(seed: int, *names: str) -> Key[Array, ""]:
         ValueError: for a seed out of range, or without a name.
     """
     words = np.frombuffer(_digest(seed, names)[:8], dtype="<u4").astype(np.uint32)
-    return jax.random.wrap_key_data(words, impl="threefry2x32")
+    return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
 def numbered(key: Key[Array, ""], numbers: Array | np.ndarray | range) -> Key[Array, "n"]:
