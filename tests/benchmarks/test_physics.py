@@ -1,0 +1,123 @@
+"""Closed forms beside numbers worked by hand, and groups of cases on ropes of a few links."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doojax.benchmarks import physics as bench
+from doojax.benchmarks.physics import closed_forms, table
+from doojax.benchmarks.physics.cases import (
+    Case,
+    Settings,
+    bent_qpos,
+    engine_of,
+    fitted_frequency,
+    state_of,
+)
+from doojax.benchmarks.physics.energy import energy
+from doojax.benchmarks.physics.fall import fall
+from doojax.benchmarks.physics.friction import lying, pushed
+from doojax.benchmarks.physics.statics import twists
+from doojax.benchmarks.physics.swing import hanging
+from doojax.experiments.reports import read_summary
+
+PLAIN = Settings("default", converged=True)
+
+
+def test_closed_forms_are_those_of_the_books():
+    # 1.2024 sqrt(g / L) rad/s for a chain of 1 m; 3.516 sqrt(EI / (mu L^4)); exp(0.3 pi)
+    assert closed_forms.hanging_chain_frequency(1, 1.0, 9.81) == pytest.approx(0.59938, rel=1e-4)
+    assert closed_forms.hanging_chain_frequency(2, 1.0, 9.81) == pytest.approx(1.37583, rel=1e-4)
+    assert closed_forms.cantilever_frequency(0.5, 1.0, 0.05) == pytest.approx(7.0783, rel=1e-4)
+    assert closed_forms.cantilever_deflection(0.5, 1.0, 0.4905) == pytest.approx(7.664e-3, rel=1e-3)
+    assert closed_forms.twist_angle(0.5, 0.01, 5e-3) == pytest.approx(0.25)
+    assert closed_forms.capstan_ratio(0.3, math.pi) == pytest.approx(2.5663, rel=1e-4)
+    assert closed_forms.capstan_friction(2.5663, math.pi) == pytest.approx(0.3, rel=1e-4)
+    assert closed_forms.stopping_distance(2.0, 0.1, 10.0) == pytest.approx(2.0)
+
+
+def test_a_fit_finds_the_frequency_of_a_slow_sinusoid_among_few_samples():
+    times = np.arange(40) * 0.1
+    signal = 0.3 * np.sin(2 * np.pi * 1.234 * times + 0.4) + 2.0
+    assert fitted_frequency(times, signal, 1.0) == pytest.approx(1.234, rel=1e-5)
+    assert math.isnan(fitted_frequency(times, signal * np.nan, 1.0))
+
+
+def test_a_bent_rope_lies_where_its_inclinations_say():
+    scene = hanging(PLAIN, 4)
+    shape = np.array([0.0, np.pi / 2, np.pi / 2, 0.0])  # along x, twice down, along x; links of 0.2 m
+    states = state_of(scene, bent_qpos(scene, np.array([1.0, 0.0, 3.0]), shape)[None])
+    seen = engine_of(scene, "mujoco").observations(states)
+    expected = [[1.1, 0, 3.0], [1.2, 0, 2.9], [1.2, 0, 2.7], [1.3, 0, 2.6]]
+    np.testing.assert_allclose(seen.rope.points[0], expected, atol=1e-6)
+    np.testing.assert_allclose(seen.rope.grippers[0], [[1.0, 0, 3.0]], atol=1e-6)
+    with pytest.raises(ValueError, match="3 inclinations for a capsule_chain of 4 links"):
+        bent_qpos(scene, np.zeros(3), np.zeros(3))
+
+
+def test_energy_is_that_of_a_falling_and_turning_rod():
+    scene = hanging(PLAIN, 4)
+    state = state_of(scene, bent_qpos(scene, np.array([0.0, 0.0, 2.0]), np.full(4, np.pi / 2))[None])
+    at_rest = energy(scene, [state])[0, 0]
+    assert at_rest == pytest.approx(0.2 * 9.81 * (2.0 - 0.4), rel=1e-5)
+    moving = state.qvel.at[0, 0].set(3.0)  # all of it along x
+    assert energy(scene, [replace(state, qvel=moving)])[0, 0] - at_rest == pytest.approx(0.9, rel=1e-3)
+    middle = 0.1  # m from the root link's centre to the rope's
+    spinning = state.qvel.at[0, 4].set(2.0)  # about the root link's y
+    inertia = 0.2 * (0.8**2 / 12 + middle**2)
+    gained = energy(scene, [replace(state, qvel=spinning)])[0, 0] - at_rest
+    assert gained == pytest.approx(inertia * 2.0**2 / 2, rel=1e-3)
+
+
+def test_a_limp_rope_falls_as_a_stone_does():
+    found = list(fall(PLAIN, "mujoco", links=4))
+    assert found[0].tags["bending_stiffness"] == 1e-3
+    assert found[0].value == pytest.approx(9.81, rel=1e-3)
+
+
+def test_a_rope_pushed_along_itself_slides_as_coulomb_says_on_contacts():
+    scene = lying(PLAIN, "capsule_chain", 4, 0.5)
+    slid = pushed(scene, "mujoco", 2.0, np.zeros(1), 0.8)
+    assert slid[0, 0] == pytest.approx(closed_forms.stopping_distance(2.0, 0.5, 9.81), rel=0.05)
+    assert abs(slid[0, 1]) < 0.01
+
+
+def test_a_torque_twists_a_rope_of_four_links_by_what_their_joints_let_through():
+    (found,) = twists(PLAIN, "mujoco", links=(10,))
+    assert found.expected == pytest.approx(0.25)
+    assert found.value == pytest.approx(0.25, rel=0.12)
+
+
+def test_verdicts_and_rows_follow_from_errors():
+    case = Case("mujoco", PLAIN)
+    right = case.found("a", 1.02, 1.0, "m")
+    off = case.found("a", 0.001, 0.0, "m", scale=1.0, within=1e-4, tags={"x": 1})
+    burst = case.found("a", np.nan, 1.0, "m", tags={"x": 2})
+    refused = case.found("a", np.nan, 1.0, "m", tags={"x": 3}, note="refused: too stiff")
+    assert [table.verdict(one) for one in (right, off, burst, refused)] == [
+        "right",
+        "off",
+        "burst",
+        "refused",
+    ]
+    rows = list(table.rows([right, off, burst, refused]))
+    assert [one.metric for one in rows] == ["a", "a_error", "a", "a_error"] + ["a_without_value"] * 2
+    assert rows[1].value == pytest.approx(0.02) and rows[3].value == pytest.approx(0.001)
+
+
+def test_the_command_writes_what_it_found_and_names_what_it_does_not_know(tmp_path, monkeypatch):
+    def group(settings, engine):
+        yield Case(engine, settings).found("a", 2.0, 1.0, "m")
+
+    monkeypatch.setitem(bench.GROUPS, "fall", (group, ("default",)))
+    bench.physics(("fall",), tasks=("default",), out=tmp_path)
+    rows = read_summary(tmp_path / "summary.json").rows
+    assert {(row.metric, row.tags["settings"], row.value) for row in rows} == {
+        ("a", "task", 2.0), ("a", "converged", 2.0), ("a_error", "task", 1.0), ("a_error", "converged", 1.0)
+    }  # fmt: skip
+    with pytest.raises(ValueError, match="unknown group 'flow'"):
+        bench.physics(("flow",), out=tmp_path)
+    with pytest.raises(ValueError, match="unknown task 'boats'"):
+        bench.physics(("fall",), tasks=("boats",), out=tmp_path)
