@@ -1,14 +1,12 @@
 """The `doojax` command: it finds the function behind a command's name and lets tyro make its command line.
 
-A command is a plain typed function with a docstring. To add one, write a line in `COMMANDS`; the function's
-module is imported only when its command is run.
+Which commands there are, stands in `doojax.commands`.
 """
 
 import difflib
-import importlib
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -16,56 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import doojax
-
-# A command's name -> ("module:function", one line of help), or (a table of its own, one line of help).
-type Commands = Mapping[str, tuple[str | Commands, str]]
-
-BENCHMARKS: Commands = {
-    "planner": ("doojax.benchmarks.planner:planner", "extensions per second beside OMPL's RRT"),
-    "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
-    "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
-    "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
-    "training": (
-        "doojax.benchmarks.training:training",
-        "train steps per second with 1 and 8 members, and in flax",
-    ),
-    "classifiers": (
-        "doojax.benchmarks.classifiers:classifiers",
-        "microseconds a judgement takes, from distances and from voxels",
-    ),
-    "viewer": ("doojax.viewer.bench:viewer", "how soon the page opens and how fast it follows"),
-    "signature": (
-        "doojax.benchmarks.signature:signature",
-        "grasp loop signatures against the h-signature package",
-    ),
-}
-
-COMMANDS: Commands = {
-    "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
-    "train": ("doojax.experiments.train:train", "train dynamics, a classifier, a recovery network"),
-    "evaluate-model": (
-        "doojax.experiments.evaluate_model:evaluate_model",
-        "measure a trained model on data that it has not seen",
-    ),
-    "sweep-threshold": (
-        "doojax.experiments.sweep_threshold:sweep_threshold",
-        "train classifiers for several thresholds and seeds at once, and measure them",
-    ),
-    "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
-    "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),
-    "plan": ("doojax.experiments.plan:plan", "plan and execute in one scene"),
-    "scenes": ("doojax.experiments.scenes:scenes", "draw a set of scenes for trials"),
-    "evaluate": ("doojax.experiments.evaluate:evaluate", "try methods on the same scenes"),
-    "compare": ("doojax.experiments.compare:compare", "tables, a figure and paired tests of an evaluation"),
-    "replay": ("doojax.datasets.replay:replay", "simulate a stored trajectory again"),
-    "signature": (
-        "doojax.topology.describe:signature",
-        "print the grasp loop signature of a described scene",
-    ),
-    "view": ("doojax.viewer.app:view", "look at data sets, predictions and trials in a browser"),
-    "bench": (BENCHMARKS, "measure speed"),
-    "report": ("doojax.experiments.tables:report", "write the tables of README and docs from results/"),
-}
+from doojax.commands import COMMANDS, Commands, load
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -121,12 +70,6 @@ def run(arguments: Sequence[str], commands: Commands, program: str) -> int:
 
     tyro.cli(function, args=rest, prog=program)
     return 0
-
-
-def load(target: str) -> Callable[..., object]:
-    """The function that "module:function" names."""
-    module, _, function = target.partition(":")
-    return getattr(importlib.import_module(module), function)
 
 
 def show(commands: Commands, program: str) -> None:

@@ -22,7 +22,8 @@ import numpy as np
 from jaxtyping import Array
 
 from doojax.benchmarks.medians import median_row
-from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.commands import command_line
+from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.keys import stream
 from doojax.learning.presets import PresetName, classifier_preset, voxel_classifier_preset
 from doojax.models.classifier import DistanceClassifier
@@ -51,26 +52,27 @@ def classifiers(
     *,
     tasks: tuple[str, ...] = ("rope_dragging", "dual_gripper"),
     json: bool = False,
-    out: Path = Path("results/where_to_trust"),
+    publish: Path | None = None,
 ) -> None:
-    """Measure microseconds per judged transition of both classifiers; write results/where_to_trust.
+    """Measure microseconds per judged transition of both classifiers.
 
     Each is run on batches of several sizes, of which the best counts. All take turns.
 
     Args:
         tasks: whose scenes and ropes.
         json: print the rows as JSON instead of a table.
-        out: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/where_to_trust; by
+            default they are only shown.
 
     Raises:
         ValueError: for an unknown task.
     """
+    command = command_line(classifiers, locals())
     rows: list[Row] = []
     for task in map(make_task, tasks):
         examples = drawn(task, max(KINDS["classifier"][2]), key=stream(SEED, "bench", "classifiers"))
         rows += rows_of(task.name, take_turns(runs_of(task, *examples)))
-    command = f"doojax bench classifiers --tasks {' '.join(tasks)}"
-    write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
+    publish_rows(publish, command=command, seed=SEED, rows=rows)
     show(rows, json)
 
 

@@ -5,8 +5,9 @@ import time
 from pathlib import Path
 
 from doojax.benchmarks.rollouts import SEED
+from doojax.commands import command_line
 from doojax.datasets.collect import SHARD_SIZE, collect
-from doojax.experiments.reports import row, show, write_summary
+from doojax.experiments.reports import publish_rows, row, show
 from doojax.tasks import make_task
 
 TRAJECTORIES = {  # the thesis's, by task and phase
@@ -21,7 +22,7 @@ def collection(
     share: float = 1.0,
     keep: Path | None = None,
     json: bool = False,
-    out: Path = Path("results/simulation"),
+    publish: Path | None = None,
 ) -> None:
     """Collect the thesis's data of both phases, or a share of it, and measure the minutes.
 
@@ -30,11 +31,13 @@ def collection(
         share: of the trajectories that are collected; the minutes are then scaled up to all of them.
         keep: the folder in which the data sets stay, as TASK_PHASE; by default they are deleted.
         json: print the rows as JSON instead of a table.
-        out: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/simulation; by
+            default they are only shown.
 
     Raises:
         ValueError: for a task of which the thesis has no data, or a share outside (0, 1].
     """
+    command = command_line(collection, locals())
     if task not in TRAJECTORIES:
         raise ValueError(f"the thesis has no data of {task!r}, only of {', '.join(TRAJECTORIES)}")
     if not 0 < share <= 1:
@@ -53,6 +56,5 @@ def collection(
             minutes = (time.perf_counter() - start) / 60
         tags = {"task": task, "phase": phase, "trajectories": wanted, "states": states, "share": share}
         rows.append(row("collect_minutes", tags, minutes * wanted / made, "min", n=made))
-    command = f"doojax bench collect --task {task} --share {share}"
-    write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
+    publish_rows(publish, command=command, seed=SEED, rows=rows)
     show(rows, json)

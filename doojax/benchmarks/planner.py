@@ -24,8 +24,10 @@ from jaxtyping import Array, Bool, Float
 from rich.console import Console
 from rich.table import Table
 
-from doojax.experiments.methods import find_models, make_method, pretrained_models
-from doojax.experiments.reports import Row, row, write_summary
+from doojax.commands import command_line
+from doojax.experiments.methods import find_models, make_method, needed_models, pretrained_models
+from doojax.experiments.provenance import digests
+from doojax.experiments.reports import Row, publish_rows, row
 from doojax.experiments.scenes import draw_scenes
 from doojax.experiments.statistics import bootstrap
 from doojax.keys import generator, numbered, stream
@@ -85,9 +87,9 @@ def planner(
     models: Path | None = None,
     method: str = "classifier",
     scenes: int = SCENES,
-    out: Path = Path("results/planning"),
+    publish: Path | None = None,
 ) -> None:
-    """Measure accepted extensions per second and seconds to a solution beside OMPL; write results/planning.
+    """Measure accepted extensions per second and seconds to a solution beside OMPL.
 
     Both plan in the same scenes with the same models, taking turns, until the goal is reached in prediction
     or as many extensions are tried as our planner's default allows. Compilation is not counted.
@@ -101,17 +103,21 @@ def planner(
         models: a folder of trained models; by default those that come with doojax.
         method: whose models are used, such as classifier; not for toy.
         scenes: how many.
-        out: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/planning; by
+            default they are only shown.
 
     Raises:
         ModuleNotFoundError: OMPL is not installed; `pip install ompl` does that.
         ValueError: for an unknown name, or models that are missing or of another task.
     """
+    command = command_line(planner, locals())
     the_task = make_task(task)
     if task == "toy":
         ours = Rrt(Towed(ToySimulator(the_task.scene, "unconstrained")), CollisionChecker(), the_task)
+        used = {}
     else:
         found = find_models(models, task) if models else pretrained_models(task)
+        used = needed_models(method, found)
         chosen = make_method(method, the_task, the_task.simulator(), found)
         ours = Rrt(chosen.dynamics, chosen.reliability, the_task)
     problems = problems_of(the_task, scenes)
@@ -121,7 +127,7 @@ def planner(
     samplers = compare_samplers(ours, problems)
     rows = rate_rows(results, task=task) + solution_rows(task, results)
     rows += rate_rows(together, task=task, all_scenes=scenes) + sampler_rows(task, samplers)
-    write_summary(out / "summary.json", command=f"doojax bench planner {task}", seed=SEED, rows=rows)
+    publish_rows(publish, command=command, seed=SEED, rows=rows, inputs=digests(used))
     table = Table("metric", "tags", "value", "95 % interval", title=f"{task}, {scenes} scenes")
     for one in rows:
         tags = ", ".join(str(tag) for name, tag in one.tags.items() if name != "task")

@@ -18,8 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
+from doojax.commands import command_line
 from doojax.datasets.collect import random_trajectories
-from doojax.experiments.reports import row, show, write_summary
+from doojax.experiments.reports import publish_rows, row, show
 from doojax.keys import numbered, stream
 from doojax.parts import processors
 from doojax.simulation.engines import available_engines, resolve_engine
@@ -42,9 +43,9 @@ def rollouts(
     batches: tuple[int, ...] = (64, 1024),
     engines: tuple[str, ...] = (),
     json: bool = False,
-    out: Path = Path("results/simulation"),
+    publish: Path | None = None,
 ) -> None:
-    """Measure physics steps and transitions per second of every engine; write results/simulation.
+    """Measure physics steps and transitions per second of every engine.
 
     The engines take turns. Warp runs on a CPU for the smallest batch only: there it is made for testing.
 
@@ -53,12 +54,14 @@ def rollouts(
         batches: numbers of elements.
         engines: some of mujoco, mjx and warp; all that this machine has by default.
         json: print the rows as JSON instead of a table.
-        out: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/simulation; by
+            default they are only shown.
 
     Raises:
         ValueError: for an unknown task or engine, or a batch below 1.
         ModuleNotFoundError: for an engine that is not installed.
     """
+    command = command_line(rollouts, locals())
     the_task = make_task(task)
     engines = tuple(map(resolve_engine, engines or available_engines()))
     if min(batches, default=0) < 1:
@@ -82,8 +85,7 @@ def rollouts(
             if "mujoco" in rates:
                 rows.append(row("bare_over_mujoco", tags, max(rates[BARE]) / max(rates["mujoco"]), ""))
     rows += [row("compile_s", {"task": task, "engine": e}, s, "s") for e, s in compile_s.items()]
-    command = f"doojax bench rollouts --task {task} --batches {' '.join(map(str, batches))}"
-    write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
+    publish_rows(publish, command=command, seed=SEED, rows=rows)
     show(rows, json)
 
 

@@ -28,7 +28,8 @@ from rich.table import Table
 
 from doojax import topology
 from doojax.benchmarks.medians import median_with_interval
-from doojax.experiments.reports import Row, row, write_summary
+from doojax.commands import command_line
+from doojax.experiments.reports import Row, publish_rows, row
 from doojax.keys import stream
 from doojax.topology.describe import THREADING, Scene, read_scene
 
@@ -38,8 +39,8 @@ ROUNDS = 40
 JITTER = 0.001  # standard deviation of the points of a batch's states, metres
 
 
-def signature(*, json: bool = False, out: Path = Path("results/topology")) -> None:
-    """Measure how long a signature takes, beside the h-signature package; write results/topology.
+def signature(*, json: bool = False, publish: Path | None = None) -> None:
+    """Measure how long a signature takes, beside the h-signature package.
 
     One signature is timed from NumPy arrays to a tuple of Python integers, a batch of 1,024 from arrays on
     the device to arrays on the device. The package is given ready-made loops, and its function alone is
@@ -47,13 +48,15 @@ def signature(*, json: bool = False, out: Path = Path("results/topology")) -> No
 
     Args:
         json: print the rows as JSON instead of a table.
-        out: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/topology; by
+            default they are only shown.
 
     Raises:
         ModuleNotFoundError: the package is not installed; `pip install h-signature` does that.
     """
+    command = command_line(signature, locals())
     rows = [one for name, scene in scenes().items() for one in measure(name, scene)]
-    write_summary(out / "summary.json", command="doojax bench signature", seed=SEED, rows=rows)
+    publish_rows(publish, command=command, seed=SEED, rows=rows)
     if json:
         print(json_format.dumps([asdict(row) for row in rows], indent=1))
         return

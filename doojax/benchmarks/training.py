@@ -18,7 +18,8 @@ import optax
 from jaxtyping import Array
 
 from doojax.benchmarks.medians import median_row
-from doojax.experiments.reports import Row, show, write_summary
+from doojax.commands import command_line
+from doojax.experiments.reports import Row, publish_rows, show
 from doojax.keys import stream
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import FitConfig, epoch, learning_rates, start
@@ -36,10 +37,8 @@ STEPS = {"thesis": 16, "quick": 64}  # of an epoch
 WANDER = 0.02  # standard deviation of a point's motion in one step, m
 
 
-def training(
-    *, task: str = "rope_dragging", json: bool = False, out: Path = Path("results/where_to_trust")
-) -> None:
-    """Measure train steps per second with 1 and 8 members, and in flax; write results/where_to_trust.
+def training(*, task: str = "rope_dragging", json: bool = False, publish: Path | None = None) -> None:
+    """Measure train steps per second with 1 and 8 members, and in flax.
 
     Ours are whole epochs as `doojax train` runs them, validation on a few trajectories and the choice of the
     best weights included; flax's are the steps alone. All take turns, on random data of the task's shapes.
@@ -48,16 +47,17 @@ def training(
     Args:
         task: rope_dragging or dual_gripper: whose shapes.
         json: print the rows as JSON instead of a table.
-        out: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/where_to_trust; by
+            default they are only shown.
 
     Raises:
         ModuleNotFoundError: flax is not installed; `pip install flax` does that.
         ValueError: for an unknown task.
     """
+    command = command_line(training, locals())
     the_task = make_task(task)
     rows = [one for preset in get_args(PresetName) for one in measure(the_task, preset)]
-    command = f"doojax bench training --task {task}"
-    write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
+    publish_rows(publish, command=command, seed=SEED, rows=rows)
     show(rows, json)
 
 

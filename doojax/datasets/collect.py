@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from rich.console import Console
 
-from doojax.datasets.manifest import Field
+from doojax.commands import command_line
+from doojax.datasets.manifest import Field, Manifest
 from doojax.datasets.progress import progress_bar
 from doojax.datasets.writer import DatasetWriter
 from doojax.keys import numbered, stream
@@ -93,6 +94,15 @@ def collect(
     console.print(f"{trajectories} trajectories of {states} states in {out}", highlight=False)
     if faulty:
         console.print(f"[yellow]{faulty} of them have faults: see doojax inspect {out}[/yellow]")
+
+
+def command_of(manifest: Manifest, out: Path) -> str | None:
+    """The command that made a data set, complete, to be run into the folder ``out``; None if none did."""
+    given = ("task", "phase", "states", "engine", "seed")
+    if not set(given) <= set(manifest.config):
+        return None
+    arguments = {name: manifest.config[name] for name in given}
+    return command_line(collect, {**arguments, "trajectories": manifest.trajectories, "out": out})
 
 
 def random_trajectories(

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from doojax.datasets.collect import command_of
 from doojax.datasets.store import Dataset
 from doojax.simulation.state import Fault
 
@@ -62,7 +62,7 @@ class Summary:
     checks: dict[str, list[str]] = field(default_factory=dict)  # what was checked, what is wrong
 
 
-def inspect(path: tyro.conf.Positional[Path], *, verify: bool = True) -> None:
+def inspect(path: Path, /, *, verify: bool = True) -> None:
     """Print a data set's fields, statistics and config, and check that it is sound.
 
     Args:
@@ -82,6 +82,9 @@ def inspect(path: tyro.conf.Positional[Path], *, verify: bool = True) -> None:
     console.print(
         "made with", ", ".join(f"{name} {text}" for name, text in dataset.manifest.versions.items())
     )
+    command = command_of(dataset.manifest, path)
+    if command is not None:
+        console.print("made by", command, markup=False)
     if verify:
         dataset.verify()
     summary = summarise(dataset)

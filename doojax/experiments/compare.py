@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,10 +13,11 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from doojax.datasets.files import file_digest
+from doojax.commands import AND, command_line
 from doojax.experiments.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
-from doojax.experiments.reports import Row, row, write_summary, write_whole
-from doojax.experiments.scenes import FOLDER, load_scenes, rule
+from doojax.experiments.provenance import noted_commands
+from doojax.experiments.reports import Row, publish_rows, row, write_whole
+from doojax.experiments.scenes import load_scenes, rule
 from doojax.experiments.statistics import (
     Estimate,
     PairedTest,
@@ -29,8 +29,6 @@ from doojax.experiments.statistics import (
     success_rate,
 )
 from doojax.experiments.tables import cells
-from doojax.experiments.trial import TrialSettings
-from doojax.planning import RrtSettings
 
 ORACLE = "oracle"
 TESTS: dict[str, Callable[[Outcomes, Outcomes], PairedTest]] = {
@@ -39,10 +37,11 @@ TESTS: dict[str, Callable[[Outcomes, Outcomes], PairedTest]] = {
     "permutation": lambda a, b: permutation(a.error, b.error),
 }
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999")
+DASHES = ("-", "--", ":", "-.")
 FARTHEST = 0.25  # m, of the thresholds in the figure
 
 
-def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = None) -> None:
+def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = None) -> None:
     """Tables, a figure and paired tests of an evaluation's methods, on the scenes that all of them tried.
 
     Writes comparison.md, methods.csv, tests.csv, trials.csv and success.png.
@@ -50,13 +49,19 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
     Args:
         folder: what doojax evaluate wrote.
         out: where to write; by default the evaluation's folder "comparison".
-        summary: the summary.json that gets the figures, too, such as results/planning/summary.json.
+        publish: the folder of results whose summary.json gets the figures, too, such as results/planning.
 
     Raises:
         FileNotFoundError: there is no evaluation in the folder.
-        ValueError: there is no finished trial, or the methods have no scene in common.
+        ValueError: there is no finished trial, the methods have no scene in common, or figures are to be
+            published of an evaluation that does not say by which command it was made.
     """
+    own = command_line(compare, locals())
     config, outcomes = read_evaluation(folder)
+    made = noted_commands(folder)
+    if publish is not None and not made:
+        raise ValueError(f"{folder} does not say by which command it was made: evaluate anew to publish it")
+    command = f" {AND} ".join([*dict.fromkeys(run.command for run in made), own])
     out = out or folder / "comparison"
     out.mkdir(parents=True, exist_ok=True)
     task = str(config["task"])
@@ -68,7 +73,6 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
     _write_csv(out / "trials.csv", trial_table(outcomes, sizes))
     scene_lines, end_lines = scene_table(outcomes, sizes), end_table(outcomes)
     trials = len(outcomes[0].trials)
-    command = command_of(config, folder, [one.method for one in outcomes])
     text = "\n".join(
         [
             f"# {task}: {len(outcomes)} methods on {trials} {kind}",
@@ -94,26 +98,12 @@ def compare(folder: Path, /, *, out: Path | None = None, summary: Path | None = 
     )
     write_whole(out / "comparison.md", text + "\n")
     draw_success(out / "success.png", outcomes, f"{task.replace('_', ' ')}, {trials} {kind}")
-    if summary is not None:
-        rows = summary_rows({"task": task} | ({"start": "caught"} if scenes.caught else {}), outcomes)
-        write_summary(summary, command=command, seed=int(config["seed"]), rows=rows)
+    rows = summary_rows({"task": task} | ({"start": "caught"} if scenes.caught else {}), outcomes)
+    inputs = {name: value for run in made for name, value in run.inputs.items()}
+    last = made[-1] if made else None
+    publish_rows(publish, command=command, seed=int(config["seed"]), rows=rows, inputs=inputs, measured=last)
     show_briefly(outcomes, f"{task}: {trials} {kind}")
     Console(stderr=True).print(f"all tables and the figure are in {out}", highlight=False)
-
-
-def command_of(config: dict[str, Any], folder: Path, methods: Sequence[str]) -> str:
-    """The command that made an evaluation, with all settings that are not the default."""
-    task = config["task"]
-    command = f"doojax evaluate {task} --methods {' '.join(methods)}"
-    shipped = {file_digest(path)[:16]: path.name for path in FOLDER.glob("*.scenes")}
-    scenes = shipped.get(config["scenes"], folder / SCENES) if "scenes" in config else f"{task}.scenes"
-    if scenes != f"{task}.scenes":
-        command += f" --scenes {scenes}"
-    for group, defaults in (("planning", RrtSettings()), ("budget", TrialSettings())):
-        for name, value in config.get(group, {}).items():
-            if value != getattr(defaults, name):
-                command += f" --{group}.{name.replace('_', '-')} {value}"
-    return command
 
 
 def show_briefly(outcomes: Sequence[Outcomes], title: str) -> None:
@@ -230,15 +220,26 @@ def summary_rows(about: dict[str, str], outcomes: Sequence[Outcomes]) -> list[Ro
 
 def draw_success(path: Path, outcomes: Sequence[Outcomes], title: str) -> None:
     """The rate of success against the threshold on the final error, with 95 % intervals (thesis Fig. 2.6)."""
+    FigureCanvasAgg(success_figure(outcomes, title)).print_png(path)
+
+
+def success_figure(outcomes: Sequence[Outcomes], title: str) -> Figure:
+    """One curve for every method, however many there are: beyond the colours, the dashes differ."""
     thresholds = np.linspace(0.0, FARTHEST, 126)
     figure = Figure(figsize=(7.2, 4.4), dpi=150)
     axes = figure.add_subplot()
     best_first = sorted(outcomes, key=lambda one: -one.success.mean())
-    for one, colour in zip(best_first, COLOURS, strict=False):
+    for number, one in enumerate(best_first):
+        colour, dashes = COLOURS[number % len(COLOURS)], DASHES[number // len(COLOURS) % len(DASHES)]
         low, high = curve_interval(one.error, thresholds)
         name = f"{one.method.replace('_', ' ')} ({100 * one.success.mean():.0f} %)"
         axes.plot(
-            100 * thresholds, 100 * success_curve(one.error, thresholds), color=colour, label=name, lw=1.8
+            100 * thresholds,
+            100 * success_curve(one.error, thresholds),
+            color=colour,
+            linestyle=dashes,
+            label=name,
+            lw=1.8,
         )
         axes.fill_between(100 * thresholds, 100 * low, 100 * high, color=colour, alpha=0.12, lw=0)
     axes.axvline(100 * outcomes[0].goal_radius, color="#555555", linestyle="--", linewidth=1)
@@ -248,7 +249,7 @@ def draw_success(path: Path, outcomes: Sequence[Outcomes], title: str) -> None:
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, loc="lower right", fontsize=9)
     figure.tight_layout()
-    FigureCanvasAgg(figure).print_png(path)
+    return figure
 
 
 def curve_interval(

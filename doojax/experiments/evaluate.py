@@ -17,12 +17,20 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
+from doojax.commands import command_line
 from doojax.datasets.files import describe_contents, file_digest, write_atomically
 from doojax.datasets.progress import progress_bar
-from doojax.experiments.methods import RECIPES, find_models, make_method, needed_models
+from doojax.experiments.methods import (
+    RECIPES,
+    find_models,
+    make_method,
+    needed_models,
+    pretrained_models,
+)
 from doojax.experiments.outcomes import CONFIG, METHOD, SCENES, SECONDS
+from doojax.experiments.provenance import digests, note_command
 from doojax.experiments.records import TrialRecord, save_record
-from doojax.experiments.scenes import FOLDER, SceneSet, load_scenes, save_scenes
+from doojax.experiments.scenes import SceneSet, load_scenes, save_scenes, scene_file
 from doojax.experiments.trial import CRASHED, Method, Trials, TrialSettings, crashed, run_trials
 from doojax.planning import RrtSettings
 from doojax.simulation.engines import resolve_engine
@@ -60,9 +68,10 @@ def evaluate(
         methods: some of classifier, voxel_classifier, no_classifier, collision_checker, full_dynamics,
             learned_recovery, random_recovery, oracle.
         out: the evaluation's folder; new, empty, or the same evaluation unfinished.
-        models: a folder of trained models, or of folders with a model.eqx each; without it the dynamics are
-            the simulator's own without obstacles.
-        scenes: a file that doojax scenes wrote; by default the task's own.
+        models: a folder of trained models, or of folders with a model.eqx each; by default those that come
+            with doojax. Where there are none, the dynamics are the simulator's own without obstacles.
+        scenes: a file that doojax scenes wrote, or the name of a set that comes with doojax, such as
+            dual_gripper_caught; by default the one named after the task.
         trials: how many, from the first scene on; by default one for every scene.
         seed: of everything that is random.
         engine: that executes: auto, mujoco, mjx or warp.
@@ -75,13 +84,14 @@ def evaluate(
         ValueError: for an unknown name, models that are missing or of another task, more trials than scenes,
             or a folder that holds something else.
     """
+    command = command_line(evaluate, locals())
     the_task = make_task(task)
     if not methods:
         raise ValueError(f"no methods were named, expected some of {', '.join(RECIPES)}")
     engine = resolve_engine(engine)
-    path = scenes or FOLDER / f"{task}.scenes"
+    path = scene_file(scenes, task)
     scene_set = load_scenes(path)
-    found = find_models(models, task)
+    found = find_models(models, task) if models else pretrained_models(task)
     needed = {name: needed_models(name, found) for name in dict.fromkeys(methods)}
     trials = len(scene_set) if trials is None else trials
     side_by_side = side_by_side or (ON_CPU if jax.default_backend() == "cpu" else ON_ACCELERATORS)
@@ -102,6 +112,8 @@ def evaluate(
     claim(out, CONFIG, config)
     if not (out / SCENES).exists():
         save_scenes(out / SCENES, scene_set)
+    inputs = {f"{name}/{kind}": file for name, files in needed.items() for kind, file in files.items()}
+    note_command(out, command, seed, digests({"scenes": path, **inputs}))
     simulator = the_task.simulator(engine)
     console = Console(stderr=True)
     for name, files in needed.items():

@@ -9,9 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from doojax.commands import command_line
 from doojax.experiments.model_pictures import draw_classifier, draw_dynamics
+from doojax.experiments.provenance import digests
 from doojax.experiments.recovery_trials import recovery_rows
-from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.experiments.statistics import bootstrap
 from doojax.keys import generator
 from doojax.learning.calibration import conformal_threshold
@@ -26,6 +28,7 @@ from doojax.types import Obstacles, RopeState
 
 UNLEARNED = {"always": Always, "collision_checker": CollisionChecker}
 RESPLITS = 20
+MEASURED = Path("measured")  # where pictures go that are not published
 
 
 def evaluate_model(
@@ -37,7 +40,8 @@ def evaluate_model(
     classifier: Path | None = None,
     seed: int = 0,
     json: bool = False,
-    out: Path = Path("results/where_to_trust"),
+    out: Path | None = None,
+    publish: Path | None = None,
 ) -> None:
     """Measure a model on the test split of a data set, and draw what was found.
 
@@ -48,11 +52,15 @@ def evaluate_model(
         classifier: the run or model.eqx that says what is stuck; for a recovery network.
         seed: of what is random: splits, and the actions of recoveries.
         json: print the rows as JSON instead of a table.
-        out: the folder of summary.json and the pictures.
+        out: the folder of the pictures; by default that of `publish`, or `measured`.
+        publish: the folder of results whose summary.json gets the figures, such as results/where_to_trust;
+            by default they are only shown.
 
     Raises:
         ValueError: for models or data of different tasks, or a test split with one class only.
     """
+    command = command_line(evaluate_model, locals())
+    out = out or publish or MEASURED
     dataset = open_dataset(data)
     task, phase = dataset.config["task"], dataset.config["phase"]
     if model in UNLEARNED:
@@ -89,9 +97,9 @@ def evaluate_model(
             seed,
             out / f"{task}_{header.kind}.png",
         )
-    command = f"doojax evaluate-model {model} --data {data}"
-    command += "".join(f" --{n} {v}" for n, v in (("dynamics", dynamics), ("classifier", classifier)) if v)
-    write_summary(out / "summary.json", command=f"{command} --seed {seed}", seed=seed, rows=rows)
+    learned = None if model in UNLEARNED else Path(model)
+    inputs = digests({"model": learned, "data": data, "dynamics": dynamics, "classifier": classifier})
+    publish_rows(publish, command=command, seed=seed, rows=rows, inputs=inputs)
     show(rows, json)
 
 

@@ -57,7 +57,10 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], list[Outcomes]]:
     if not file.exists():
         raise FileNotFoundError(f"{folder} holds no evaluation: doojax evaluate writes one")
     config = json.loads(file.read_text(encoding="utf-8"))
-    found = [read_outcomes(folder / name) for name in RECIPES if (folder / name / METHOD).exists()]
+    names = sorted(file.parent.name for file in folder.glob(f"*/{METHOD}"))
+    known = list(RECIPES)
+    names.sort(key=lambda name: known.index(name) if name in known else len(known))
+    found = [read_outcomes(folder / name) for name in names]
     found = [one for one in found if len(one.trials)]
     if not found:
         raise ValueError(f"{folder} holds no finished trial yet")

@@ -1,5 +1,7 @@
 """One plan: `doojax plan`."""
 
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import jax
@@ -7,7 +9,9 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
-from doojax.experiments.methods import find_models, make_method, pretrained_models
+from doojax.commands import command_line
+from doojax.experiments.methods import find_models, make_method, needed_models, pretrained_models
+from doojax.experiments.provenance import digests
 from doojax.experiments.records import save_record
 from doojax.experiments.scenes import FOLDER, load_scenes
 from doojax.experiments.trial import Trials, TrialSettings, run_trials
@@ -18,6 +22,7 @@ from doojax.simulation.state import SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
 
+PLANS = Path("plans")  # where records go that have no other name
 PLANNING, BUDGET = RrtSettings(), TrialSettings()
 
 
@@ -36,7 +41,7 @@ def plan(
     engine: str = "auto",
     planning: RrtSettings = PLANNING,
     budget: TrialSettings = BUDGET,
-    out: Path = Path("plan.npz"),
+    out: Path | None = None,
 ) -> None:
     """Plan in one scene, execute the plan in the simulator, and record it all for doojax view.
 
@@ -55,15 +60,20 @@ def plan(
         engine: that executes: auto, mujoco, mjx or warp.
         planning: how a tree is grown.
         budget: when to give up.
-        out: the record to write, ending in .npz.
+        out: the record to write, ending in .npz, which must not be there yet; by default the first of
+            plans/TASK_METHOD_1.npz, plans/TASK_METHOD_2.npz, ... that is not.
 
     Raises:
+        FileExistsError: there is a record of this name.
         ValueError: for names or indices that do not exist, a goal out of reach, a scene in collision at the
             start, or models that are missing or of another task.
     """
+    command = command_line(plan, locals())
     the_task = make_task(task)
-    if out.suffix != ".npz":
+    if out is not None and out.suffix != ".npz":
         raise ValueError(f"a record ends in .npz, got {out}")
+    if out is not None and out.exists():
+        raise FileExistsError(f"{out} is there already: name another record by --out, or delete it")
     if points is not None and goal is None:
         raise ValueError("points were given without a goal that they are to reach")
     found = find_models(models, task) if models else pretrained_models(task)
@@ -82,7 +92,9 @@ def plan(
     (record,) = run_trials(
         the_task, simulator, chosen, planning, budget, trials, keep_trees=True, execute=execute
     )
-    save_record(out, record)
+    about = {"command": command, "inputs": digests(needed_models(method, found))}
+    out = out or free_name(PLANS / f"{task}_{method}.npz")
+    save_record(out, replace(record, about={**record.about, **about}))
     table = Table(show_header=False, title=f"{task}, {method}, seed {seed}")
     for event in record.events:
         table.add_row(f"state {event.step}", event.kind, event.text)
@@ -93,6 +105,12 @@ def plan(
             f"the rope ends {100 * record.about['final_error_m']:.1f} cm from the goal", highlight=False
         )
     console.print(f"searching took {record.about['plan_s']:.1f} s; to see it all: doojax view {out}")
+
+
+def free_name(path: Path) -> Path:
+    """The first of NAME_1.npz, NAME_2.npz, ... that is not there yet."""
+    numbered = (path.with_stem(f"{path.stem}_{number}") for number in count(1))
+    return next(one for one in numbered if not one.exists())
 
 
 def _scene(task: Task, simulator: Simulator, scene: int | None, seed: int) -> tuple[SimState, Goal]:

@@ -3,8 +3,9 @@
 A file holds `rows`, one figure each, and `runs`, the executions of commands that measured them; a row's
 `run` is the index of its own. Several commands may feed one file: a new row replaces the one of the same
 metric and tags and belongs to the new run, and a run to which no row belongs any more is dropped. So each
-figure keeps the command, seed, versions, device and date under which it was measured. The `command`, `seed`,
-`versions`, `device` and `date` of the file as a whole repeat those of the latest run, the last in `runs`.
+figure keeps the command, seed, versions, device and date under which it was measured, and the digests of the
+models, data and scenes that went into it. The `command`, `seed`, `versions`, `device` and `date` of the file
+as a whole repeat those of the latest run, the last in `runs`.
 """
 
 import json
@@ -13,7 +14,7 @@ import os
 import platform
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from operator import index
@@ -26,6 +27,9 @@ from rich.table import Table
 import doojax
 
 type Tag = str | int | float | bool
+
+HEAD = ("command", "seed", "versions", "device", "date")  # of the latest run, repeated for the whole file
+SUMMARY = "summary.json"
 
 # What a version is called in a file -> the package that has it.
 PACKAGES = {
@@ -42,11 +46,13 @@ PACKAGES = {
 class Run:
     """One execution of a command that measured something."""
 
-    command: str
+    command: str  # complete: running it again gives the rows again
     seed: int | None  # None where nothing was drawn at random
     versions: Mapping[str, str]
     device: str
     date: str  # UTC, ISO 8601
+    inputs: Mapping[str, str] = field(default_factory=dict)  # SHA-256, its beginning, of models, data, scenes
+    note: str = ""  # what keeps an old run's command from being run again as it stands
 
 
 @dataclass(frozen=True)
@@ -112,16 +118,26 @@ def row(
     return Row(**fields_of_row)
 
 
-def write_summary(path: Path | str, *, command: str, seed: int | None, rows: Iterable[Row]) -> Summary:
+def write_summary(
+    path: Path | str,
+    *,
+    command: str,
+    seed: int | None,
+    rows: Iterable[Row],
+    inputs: Mapping[str, str] | None = None,
+    measured: Run | None = None,
+) -> Summary:
     """Merge freshly measured rows into a summary file, all or nothing, and return what it then holds.
 
-    Versions, device and date are those of this process, now. Two processes must not write one file at once.
+    Two processes must not write one file at once.
 
     Args:
         path: the file, such as results/simulation/summary.json; it and its folder need not exist.
         command: the command line that measured the rows.
         seed: the seed they depend on, or None.
         rows: at least one, see `row`.
+        inputs: digests of the models, data and scenes that the rows depend on, by name.
+        measured: where versions, device and date come from; by default from this process, now.
 
     Raises:
         ValueError: there are no rows, two of them share metric and tags, or the file is not a summary.
@@ -129,7 +145,8 @@ def write_summary(path: Path | str, *, command: str, seed: int | None, rows: Ite
     path = Path(path)
     if path.suffix != ".json":
         raise ValueError(f"{path} is not the name of a summary; it must end in .json, such as summary.json")
-    run = Run(command, seed, versions(), device(), datetime.now(UTC).isoformat(timespec="seconds"))
+    here = measured or this_run()
+    run = replace(here, command=command, seed=seed, inputs=dict(inputs or {}))
     fresh = Summary((run,), tuple(replace(new, run=0) for new in rows))
     check(fresh)
 
@@ -158,7 +175,7 @@ def read_summary(path: Path | str) -> Summary:
     path = Path(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse_constant)
-        check_names(content, {field.name for field in fields(Run)} | {"runs", "rows"})
+        check_names(content, {*HEAD, "runs", "rows"})
         runs, rows = content.pop("runs"), content.pop("rows")
         for name, items, check_item in (("runs", runs, check_run), ("rows", rows, check_row)):
             require(isinstance(items, list), name, items, "a list")
@@ -167,7 +184,7 @@ def read_summary(path: Path | str) -> Summary:
                     check_item(item)
                 except ValueError as error:
                     raise ValueError(f"{name}[{position}]: {error}") from error
-        if content not in runs[-1:]:
+        if content not in [{name: run[name] for name in HEAD} for run in runs[-1:]]:
             raise ValueError("command, seed, versions, device and date must repeat those of the last run")
         summary = Summary(tuple(Run(**item) for item in runs), tuple(Row(**item) for item in rows))
         check(summary)
@@ -197,13 +214,18 @@ def check(summary: Summary) -> None:
 
 def check_run(item: object) -> None:
     """Raise a ValueError unless this is a run as JSON has it."""
-    item = check_names(item, {field.name for field in fields(Run)})
+    item = check_names(item, set(HEAD), optional={"inputs", "note"})
     for name in ("command", "device", "date"):
         require(isinstance(item[name], str), name, item[name], "a text")
+    require(isinstance(item.get("note", ""), str), "note", item.get("note"), "a text")
     require(item["seed"] is None or is_integer(item["seed"]), "seed", item["seed"], "an integer or null")
-    versions = item["versions"]
-    sound = isinstance(versions, dict) and all(isinstance(version, str) for version in versions.values())
-    require(sound, "versions", versions, "names of packages with their versions")
+    inputs = item.get("inputs", {})
+    for name, texts, expected in (
+        ("versions", item["versions"], "names of packages with their versions"),
+        ("inputs", inputs, "names of models, data and scenes with their digests"),
+    ):
+        sound = isinstance(texts, dict) and all(isinstance(text, str) for text in texts.values())
+        require(sound, name, texts, expected)
 
 
 def check_row(item: object) -> None:
@@ -224,6 +246,11 @@ def check_row(item: object) -> None:
     require(n is None or (is_integer(n) and n > 0), "n", n, "a positive integer or null")
     require(isinstance(item["unit"], str), "unit", item["unit"], "a text")
     require(is_integer(item["run"]) and item["run"] >= 0, "run", item["run"], "an index")
+
+
+def this_run() -> Run:
+    """Versions and device of this process, and the date, of a command without a name."""
+    return Run("", None, versions(), device(), datetime.now(UTC).isoformat(timespec="seconds"))
 
 
 def versions() -> dict[str, str]:
@@ -268,7 +295,7 @@ def write_whole(path: Path, text: str) -> None:
 
 def to_json(summary: Summary) -> str:
     """A summary as JSON with one run or row per line, so that a difference is easy to read."""
-    parts = [f'"{name}": {to_line(value)}' for name, value in asdict(summary.runs[-1]).items()]
+    parts = [f'"{name}": {to_line(getattr(summary.runs[-1], name))}' for name in HEAD]
     for name, items in (("runs", summary.runs), ("rows", summary.rows)):
         lines = ",\n  ".join(to_line(asdict(item)) for item in items)
         parts.append(f'"{name}": [\n  {lines}\n ]')
@@ -285,11 +312,13 @@ def order(row: Row) -> tuple[object, ...]:
     return row.metric, sorted((name, isinstance(tag, str), tag) for name, tag in row.tags.items())
 
 
-def check_names(item: object, expected: set[str]) -> Mapping[str, Any]:
+def check_names(
+    item: object, expected: set[str], optional: frozenset[str] | set[str] = frozenset()
+) -> Mapping[str, Any]:
     """The item, if it is a JSON object with just these fields; a ValueError names what is amiss."""
     if not isinstance(item, dict):
         raise ValueError(f"it is {item!r}; expected an object")
-    missing, unknown = expected - set(item), set(item) - expected
+    missing, unknown = expected - set(item), set(item) - expected - optional
     wrong = [f"lacks {', '.join(sorted(missing))}"] if missing else []
     wrong += [f"has unknown {', '.join(sorted(unknown))}"] if unknown else []
     if wrong:
@@ -321,6 +350,21 @@ def is_finite(value: object) -> bool:
 def is_name(value: object) -> bool:
     """Is this a name for a metric or a tag?"""
     return isinstance(value, str) and re.fullmatch(r"[a-z][a-z0-9_]*", value) is not None
+
+
+def publish_rows(
+    folder: Path | None,
+    *,
+    command: str,
+    seed: int | None,
+    rows: Iterable[Row],
+    inputs: Mapping[str, str] | None = None,
+    measured: Run | None = None,
+) -> None:
+    """`write_summary` to the summary.json of a folder of results, if a user named one to publish to."""
+    if folder is not None:
+        path = folder / SUMMARY
+        write_summary(path, command=command, seed=seed, rows=rows, inputs=inputs, measured=measured)
 
 
 def show(rows: Sequence[Row], as_json: bool) -> None:

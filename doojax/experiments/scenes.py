@@ -148,6 +148,28 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def scene_file(wanted: Path | None, task: str) -> Path:
+    """A set's file: the one of this path, else the one that comes with doojax under this name.
+
+    Args:
+        wanted: a path or a name; None for what comes with doojax for the task.
+        task: whose.
+
+    Raises:
+        FileNotFoundError: there is neither; the message lists the sets that come with doojax.
+    """
+    if wanted is not None and wanted.is_file():
+        return wanted
+    shipped = {path.stem: path for path in sorted(FOLDER.glob("*.scenes"))}
+    name = task if wanted is None else str(wanted).removesuffix(".scenes")
+    if name in shipped:
+        return shipped[name]
+    raise FileNotFoundError(
+        f"there is no file of scenes {wanted or name}; doojax scenes draws one, and with doojax come: "
+        f"{', '.join(shipped)}"
+    )
+
+
 def load_scenes(path: Path) -> SceneSet:
     """Read a set.
 

@@ -10,8 +10,10 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from scipy import stats
 
+from doojax.commands import command_line
 from doojax.experiments.model_pictures import save_figure
-from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.experiments.provenance import digests, note_command
+from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.experiments.train import training_progress
 from doojax.learning.presets import PresetName
 from doojax.learning.sweep import Measured, sweep_thresholds
@@ -32,7 +34,7 @@ def sweep_threshold(
     preset: PresetName = "quick",
     seed: int = 0,
     json: bool = False,
-    summary: Path = Path("results/where_to_trust"),
+    publish: Path | None = None,
 ) -> None:
     """Train classifiers from distances for several thresholds and seeds in one run, and measure them.
 
@@ -51,12 +53,14 @@ def sweep_threshold(
         preset: quick or thesis, of the network and the labels.
         seed: of everything that is random.
         json: print the rows as JSON instead of a table.
-        summary: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/where_to_trust; by
+            default they are only shown.
 
     Raises:
         ValueError: for data of another task or phase, or a threshold for which a split has too few examples
             of a class.
     """
+    command = command_line(sweep_threshold, locals())
     with training_progress(Console(stderr=True), "sweep") as report:
         task, own, measured = sweep_thresholds(
             data, out, dynamics, thresholds, seeds, preset, epochs, trajectories, seed, report
@@ -67,11 +71,9 @@ def sweep_threshold(
         writer.writerows(asdict(one) for one in measured)
     draw_sweep(out / PICTURE, measured, own, task)
     rows = sweep_rows(measured, {"task": task, "model": "classifier", "preset": preset}, own)
-    command = f"doojax sweep-threshold --data {data} --dynamics {dynamics} --out {out}"
-    command += f" --thresholds {' '.join(map(str, thresholds))}" if thresholds else ""
-    command += f" --seeds {seeds} --epochs {epochs} --trajectories {trajectories} --preset {preset}"
-    command += f" --seed {seed}"
-    write_summary(summary / "summary.json", command=command, seed=seed, rows=rows)
+    inputs = digests({"data": data, "dynamics": dynamics})
+    note_command(out, command, seed, inputs)
+    publish_rows(publish, command=command, seed=seed, rows=rows, inputs=inputs)
     show(rows, json)
 
 

@@ -8,8 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from rich.console import Console
 
+from doojax.commands import command_line
 from doojax.datasets.progress import progress_bar
 from doojax.experiments.curves import draw_curves
+from doojax.experiments.provenance import digests, note_command
 from doojax.learning import train as learning
 from doojax.learning.fit import Report
 from doojax.learning.presets import PresetName
@@ -57,6 +59,7 @@ def train(
     if len(data) != (2 if what == "full_dynamics" else 1):
         wanted = "two data sets, one of each phase" if what == "full_dynamics" else "one data set"
         raise ValueError(f"{what} learns from {wanted}; {len(data)} were named")
+    command = command_line(train, locals())
     console = Console(stderr=True)
     with training_progress(console, what) as report:
         common: dict[str, Any] = {"preset": preset, "epochs": epochs, "seed": seed, "report": report}
@@ -72,6 +75,9 @@ def train(
             judged = _named(dynamics, f"a {what} judges predictions: name the dynamics' run by --dynamics")
             header = learning.train_classifier(what, data[0], out, judged, threshold=threshold, **common)
     draw_curves(out, out / CURVES)
+    files = {f"data {number}": path for number, path in enumerate(data, start=1)}
+    inputs = {**files, "dynamics": dynamics, "classifier": classifier}
+    note_command(out, command, seed, digests(inputs))
     for name, value in header.about.items():
         console.print(f"{name}: {value}", highlight=False)
     console.print(f"{out / 'model.eqx'} and {out / CURVES} are written", highlight=False)

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from doojax.benchmarks.medians import median_row
+from doojax.commands import command_line
 from doojax.experiments.records import save_record
-from doojax.experiments.reports import Row, row, show, write_summary
+from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.viewer import colours
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
@@ -109,8 +110,8 @@ NEXT = """async () => {
 }"""
 
 
-def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
-    """Measure the page of `doojax view` in a headless Chromium; write results/viewer.
+def viewer(*, json: bool = False, publish: Path | None = None) -> None:
+    """Measure the page of `doojax view` in a headless Chromium.
 
     open_s: from the opening of a data set by the server until its first rope is drawn in a page that was
     open before. frame_ms: from the key that steps in time until the rope's new place is in the page
@@ -120,11 +121,13 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
 
     Args:
         json: print the rows as JSON instead of a table.
-        out: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/viewer; by
+            default they are only shown.
 
     Raises:
         FileNotFoundError: there is no Chromium; the message says how to get it.
     """
+    command = command_line(viewer, locals())
     server = start_server("127.0.0.1", 0)
     try:
         with tempfile.TemporaryDirectory() as temporary, open_browser() as browser:
@@ -139,7 +142,7 @@ def viewer(*, json: bool = False, out: Path = Path("results/viewer")) -> None:
             rows += [opening(server, page, folder / "towed"), turning(server, page, folder / "trial.npz")]
     finally:
         server.stop()
-    write_summary(out / "summary.json", command="doojax bench viewer", seed=SEED, rows=rows)
+    publish_rows(publish, command=command, seed=SEED, rows=rows)
     show(rows, json)
 
 

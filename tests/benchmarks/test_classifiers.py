@@ -40,7 +40,7 @@ def test_the_best_batch_of_each_counts(monkeypatch, tmp_path):
     monkeypatch.setattr(bench, "take_turns", seconds)
     monkeypatch.setattr(bench, "drawn", lambda *_, key: ())
     monkeypatch.setattr(bench, "runs_of", lambda *_: NAMES)
-    bench.classifiers(tasks=("rope_dragging",), out=tmp_path)
+    bench.classifiers(tasks=("rope_dragging",), publish=tmp_path)
     found = {
         (row.metric, *(row.tags.get(tag) for tag in ("preset", "model", "voxel_preset"))): row.value
         for row in read_summary(tmp_path / "summary.json").rows

@@ -56,7 +56,7 @@ def test_ratios_are_of_the_times_measured(monkeypatch, tmp_path):
     monkeypatch.setattr(bench, "take_turns", seconds)
     for name in ("our_epochs", "flax_epochs", "DynamicsProblem"):
         monkeypatch.setattr(bench, name, lambda *_: None)
-    bench.training(task="toy", out=tmp_path)
+    bench.training(task="toy", publish=tmp_path)
     found = {
         (row.metric, row.tags.get("library"), row.tags.get("members")): row.value
         for row in read_summary(tmp_path / "summary.json").rows

@@ -2,12 +2,17 @@
 
 import csv
 import json
+import shutil
+from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from doojax.experiments.compare import compare
+from doojax.commands import parsed
+from doojax.experiments.compare import compare, success_figure
+from doojax.experiments.outcomes import read_evaluation
+from doojax.experiments.provenance import note_command
 from doojax.experiments.records import Event, Look, TrialRecord, save_record
 from doojax.experiments.reports import read_summary
 from doojax.experiments.scenes import draw_scenes, save_scenes
@@ -100,16 +105,43 @@ def test_the_tables_say_what_happened(folder):
     assert "| goal reached | 11 | 1 | 11 |" in text
 
 
-def test_what_was_not_the_default_is_said(folder):
-    planning, budget = {"lanes": 64, "shortcuts": 0}, {"searches": 40, "replan_distance": 0.1}
-    config = {"task": "toy", "seed": 3, "scenes": "0123", "planning": planning, "budget": budget}
-    (folder / "config.json").write_text(json.dumps(config))
-    compare(folder, summary=folder / "summary.json")
-    command = "doojax evaluate toy --methods classifier no_classifier oracle "
-    command += f"--scenes {folder / 'all.scenes'} --planning.shortcuts 0 "
-    command += "--budget.searches 40 --budget.replan-distance 0.1"
-    assert f"Made by `{command}`, seed 3." in (folder / "comparison" / "comparison.md").read_text()
-    assert read_summary(folder / "summary.json").runs[0].command == command
+def test_the_commands_that_ran_are_the_ones_that_are_recorded(folder, tmp_path):
+    first = "doojax evaluate toy --methods classifier --out trials --models runs --seed 3 --engine mjx"
+    second = "doojax evaluate toy --methods oracle --out trials --trials 12 --scenes mine.scenes"
+    note_command(folder, first, 3, {"scenes": "0123", "classifier/dynamics": "4567"})
+    note_command(folder, second, 3, {"scenes": "0123"})
+    note_command(folder, first, 3, {"scenes": "0123", "classifier/dynamics": "4567"})  # resumed
+    before = [json.loads(line) for line in (folder / "commands.jsonl").read_text().splitlines()]
+    elsewhere = "".join(json.dumps(run | {"device": "a larger machine"}) + "\n" for run in before)
+    (folder / "commands.jsonl").write_text(elsewhere)
+    compare(folder, publish=tmp_path)
+    own = f"doojax compare {folder} --publish {tmp_path}"
+    made = f"Made by `{first} && {second} && {own}`, seed 3."
+    assert made in (folder / "comparison" / "comparison.md").read_text()
+    (run,) = read_summary(tmp_path / "summary.json").runs
+    assert run.command == f"{first} && {second} && {own}"
+    assert run.inputs == {"scenes": "0123", "classifier/dynamics": "4567"}
+    assert run.device == "a larger machine", "where trials ran counts, not where they are compared"
+    ran, again, _ = parsed(run.command)
+    assert ran[1]["models"] == Path("runs") and ran[1]["engine"] == "mjx"
+    assert again[1]["trials"] == 12 and again[1]["scenes"] == Path("mine.scenes")
+
+
+def test_what_does_not_say_how_it_was_made_is_not_published(folder, tmp_path):
+    with pytest.raises(ValueError, match="does not say by which command it was made: evaluate anew"):
+        compare(folder, publish=tmp_path)
+    assert not list(tmp_path.glob("*.json"))
+
+
+def test_a_ninth_method_is_drawn_and_one_that_is_unknown_is_read(folder):
+    for number in range(8):
+        shutil.copytree(folder / "oracle", folder / f"other_{number}")
+    _, outcomes = read_evaluation(folder)
+    assert [one.method for one in outcomes[:3]] == ["classifier", "no_classifier", "oracle"]
+    axes = success_figure(outcomes, "many").axes[0]
+    curves = [line for line in axes.get_lines() if len(line.get_xdata()) > 2]
+    assert len(curves) == len(axes.get_legend().get_texts()) == 11
+    assert len({(line.get_color(), line.get_linestyle()) for line in curves}) == 11
 
 
 def test_the_figure_shows_a_curve_for_every_method(folder):
@@ -121,10 +153,10 @@ def test_the_figure_shows_a_curve_for_every_method(folder):
 
 
 def test_the_figures_reach_a_summary(folder, tmp_path):
-    compare(folder, out=tmp_path / "out", summary=tmp_path / "summary.json")
+    note_command(folder, "doojax evaluate toy --methods oracle --out x --seed 3", 3, {})
+    compare(folder, out=tmp_path / "out", publish=tmp_path)
     summary = read_summary(tmp_path / "summary.json")
     assert summary.runs[-1].seed == 3
-    assert summary.runs[-1].command == "doojax evaluate toy --methods classifier no_classifier oracle"
     found = {row.identity: row for row in summary.rows}
     rate = found['success_rate {"method": "classifier", "task": "toy"}']
     assert (rate.value, rate.n) == (pytest.approx(11 / 12), 12) and rate.low < rate.value < rate.high

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doojax.commands import parsed
 from doojax.experiments.plan import plan
 from doojax.experiments.records import load_record
 from doojax.experiments.trial import NOT_EXECUTED, replay
@@ -25,6 +26,21 @@ def test_a_plan_is_executed_recorded_and_told(tmp_path, capsys):
     said = capsys.readouterr().out
     assert f"{100 * record.about['final_error_m']:.1f} cm from the goal" in said
     assert all(event.kind in said for event in record.events)
+
+
+def test_no_record_is_overwritten(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        toy(method="oracle", seed=3, execute=False)
+    first, second = sorted(Path("plans").iterdir())
+    assert (first.name, second.name) == ("toy_oracle_1.npz", "toy_oracle_2.npz")
+    ((function, arguments),) = parsed(load_record(first).about["command"])
+    assert function is plan and arguments["method"] == "oracle" and not arguments["execute"]
+    assert arguments["planning"] == PLANNING
+    before = first.read_bytes()
+    with pytest.raises(FileExistsError, match="is there already: name another record by --out"):
+        toy(method="oracle", out=first)
+    assert first.read_bytes() == before
 
 
 def test_only_planned_nothing_moves_and_goals_may_be_combined(tmp_path):

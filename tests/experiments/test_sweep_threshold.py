@@ -44,7 +44,7 @@ def test_every_threshold_and_seed_is_a_member_with_labels_of_its_own(toy, tmp_pa
         thresholds=THRESHOLDS,
         seeds=2,
         epochs=2,
-        summary=tmp_path,
+        publish=tmp_path,
     )
     with (tmp_path / "sweep" / "sweep.csv").open() as file:
         lines = list(csv.DictReader(file))
@@ -94,5 +94,5 @@ def test_an_interval_over_three_seeds():
 def test_what_cannot_be_swept_leaves_nothing_behind(toy, tmp_path, options, message):
     data, dynamics, _ = toy
     with pytest.raises(ValueError, match=message):
-        sweep_threshold(data=data, dynamics=dynamics, out=tmp_path / "sweep", summary=tmp_path, **options)
+        sweep_threshold(data=data, dynamics=dynamics, out=tmp_path / "sweep", publish=tmp_path, **options)
     assert list(tmp_path.iterdir()) == []

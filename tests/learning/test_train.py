@@ -7,8 +7,10 @@ import jax
 import numpy as np
 import pytest
 
+from doojax.commands import parsed
 from doojax.datasets.collect import collect
 from doojax.experiments.evaluate_model import evaluate_model
+from doojax.experiments.provenance import digest, noted_commands
 from doojax.experiments.reports import read_summary
 from doojax.experiments.train import train
 from doojax.learning.checkpoints import load_model
@@ -53,8 +55,20 @@ def test_a_run_holds_config_environment_metrics_curves_and_model(runs):
     assert config["labels"]["horizon"] == 10
 
 
+def test_a_run_says_by_which_command_it_was_trained(runs, data):
+    (run,) = noted_commands(runs / "classifier")
+    ((function, arguments),) = parsed(run.command)
+    assert function is train
+    assert arguments["data"] == (data / "constrained",) and arguments["out"] == runs / "classifier"
+    assert arguments["threshold"] == 0.01
+    assert run.inputs == {"data 1": digest(data / "constrained"), "dynamics": digest(runs / "dynamics")}
+
+
 def test_the_dynamics_predict_the_toy_to_millimetres(runs, data, tmp_path):
-    evaluate_model(str(runs / "dynamics"), data=data / "unconstrained", out=tmp_path)
+    evaluate_model(str(runs / "dynamics"), data=data / "unconstrained", publish=tmp_path)
+    (run,) = read_summary(tmp_path / "summary.json").runs
+    assert parsed(run.command)[0][1]["publish"] == tmp_path
+    assert run.inputs == {"model": digest(runs / "dynamics"), "data": digest(data / "unconstrained")}
     found = measured(tmp_path)
     assert found["dynamics_error_m"] < 0.008  # it moves 5 cm a step
     assert (tmp_path / "toy_dynamics_unconstrained.png").exists()
@@ -62,8 +76,8 @@ def test_the_dynamics_predict_the_toy_to_millimetres(runs, data, tmp_path):
 
 def test_the_classifier_knows_where_the_wall_is_and_nothing_else_does(runs, data, tmp_path):
     options = {"data": data / "constrained", "dynamics": runs / "dynamics"}
-    evaluate_model(str(runs / "classifier"), **options, out=tmp_path / "classifier")
-    evaluate_model("always", **options, out=tmp_path / "always")
+    evaluate_model(str(runs / "classifier"), **options, publish=tmp_path / "classifier")
+    evaluate_model("always", **options, publish=tmp_path / "always")
     found, blind = measured(tmp_path / "classifier"), measured(tmp_path / "always")
     assert found["classifier_auroc"] > 0.9
     assert blind["classifier_auroc"] == 0.5

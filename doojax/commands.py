@@ -1,0 +1,217 @@
+"""The commands of `doojax`, and the way from what a command was given to the line that gives it again.
+
+A command is a plain typed function with a docstring. To add one, write a line in `COMMANDS`; the function's
+module is imported only when its command is run. `command_line` writes a call as the line that a user would
+type, and `parsed` reads it back, to the same values: what is recorded beside a figure can be run again.
+"""
+
+import functools
+import importlib
+import inspect
+import io
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+# A command's name -> ("module:function", one line of help), or (a table of its own, one line of help).
+type Commands = Mapping[str, tuple[str | Commands, str]]
+
+PROGRAM, AND = "doojax", "&&"  # between commands of which each needs the one before
+
+BENCHMARKS: Commands = {
+    "planner": ("doojax.benchmarks.planner:planner", "extensions per second beside OMPL's RRT"),
+    "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
+    "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
+    "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
+    "training": (
+        "doojax.benchmarks.training:training",
+        "train steps per second with 1 and 8 members, and in flax",
+    ),
+    "classifiers": (
+        "doojax.benchmarks.classifiers:classifiers",
+        "microseconds a judgement takes, from distances and from voxels",
+    ),
+    "viewer": ("doojax.viewer.bench:viewer", "how soon the page opens and how fast it follows"),
+    "signature": (
+        "doojax.benchmarks.signature:signature",
+        "grasp loop signatures against the h-signature package",
+    ),
+}
+
+COMMANDS: Commands = {
+    "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
+    "train": ("doojax.experiments.train:train", "train dynamics, a classifier, a recovery network"),
+    "evaluate-model": (
+        "doojax.experiments.evaluate_model:evaluate_model",
+        "measure a trained model on data that it has not seen",
+    ),
+    "sweep-threshold": (
+        "doojax.experiments.sweep_threshold:sweep_threshold",
+        "train classifiers for several thresholds and seeds at once, and measure them",
+    ),
+    "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
+    "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),
+    "plan": ("doojax.experiments.plan:plan", "plan and execute in one scene"),
+    "scenes": ("doojax.experiments.scenes:scenes", "draw a set of scenes for trials"),
+    "evaluate": ("doojax.experiments.evaluate:evaluate", "try methods on the same scenes"),
+    "compare": ("doojax.experiments.compare:compare", "tables, a figure and paired tests of an evaluation"),
+    "replay": ("doojax.datasets.replay:replay", "simulate a stored trajectory again"),
+    "signature": (
+        "doojax.topology.describe:signature",
+        "print the grasp loop signature of a described scene",
+    ),
+    "view": ("doojax.viewer.app:view", "look at data sets, predictions and trials in a browser"),
+    "bench": (BENCHMARKS, "measure speed"),
+    "report": ("doojax.experiments.tables:report", "write the tables of README and docs from results/"),
+}
+
+
+def load(target: str) -> Callable[..., Any]:
+    """The function that "module:function" names."""
+    module, _, function = target.partition(":")
+    return getattr(importlib.import_module(module), function)
+
+
+def names_of(function: Callable[..., Any], commands: Commands = COMMANDS) -> tuple[str, ...]:
+    """What a user types after `doojax` to run ``function``, such as ("bench", "rollouts").
+
+    Raises:
+        ValueError: no command runs it.
+    """
+    wanted = f"{function.__module__}:{function.__name__}"
+
+    def found(table: Commands, names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+        for name, (target, _) in table.items():
+            if target == wanted:
+                yield (*names, name)
+            elif not isinstance(target, str):
+                yield from found(target, (*names, name))
+
+    for names in found(commands, ()):
+        return names
+    raise ValueError(f"{wanted} is no command of {PROGRAM}; add it to doojax.commands.COMMANDS")
+
+
+def command_line(function: Callable[..., Any], arguments: Mapping[str, Any]) -> str:
+    """The line that runs ``function`` with these arguments: all that are not the defaults, and no others.
+
+    Args:
+        function: of a command.
+        arguments: by parameter; for those that are left out the defaults count.
+
+    Raises:
+        ValueError: for a function that is no command, an unknown or missing argument, or a value that no
+            command line gives, such as a text in a list that begins with a dash.
+    """
+    parameters = inspect.signature(function).parameters
+    unknown = sorted(set(arguments) - set(parameters))
+    if unknown:
+        raise ValueError(f"{function.__name__} has no {', '.join(unknown)}; it has: {', '.join(parameters)}")
+    positional, options = [], []
+    for name, parameter in parameters.items():
+        value = arguments.get(name, parameter.default)
+        if value is inspect.Parameter.empty:
+            raise ValueError(f"{function.__name__} needs {name}")
+        if parameter.kind is inspect.Parameter.POSITIONAL_ONLY:
+            if value != parameter.default:
+                positional += _words(name, value)
+        else:
+            options += _option(name, value, parameter.default)
+    if any(word.startswith("-") for word in positional):
+        return shlex.join([PROGRAM, *names_of(function), *options, "--", *positional])
+    return shlex.join([PROGRAM, *names_of(function), *positional, *options])
+
+
+def parsed(line: str) -> list[tuple[Callable[..., Any], dict[str, Any]]]:
+    """The functions that a line's commands run, one after another, with all their arguments; runs nothing.
+
+    Raises:
+        ValueError: the line is no command of `doojax`, or has options that the command does not take.
+    """
+    try:
+        words = shlex.split(line)
+    except ValueError as error:
+        raise ValueError(f"{line!r} cannot be read: {error}") from error
+    parts: list[list[str]] = [[]]
+    for word in words:
+        if word == AND:
+            parts.append([])
+        else:
+            parts[-1].append(word)
+    return [_parsed(part) for part in parts]
+
+
+def _parsed(words: Sequence[str]) -> tuple[Callable[..., Any], dict[str, Any]]:
+    import tyro  # here, so that the list of commands appears at once
+
+    if not words or words[0] != PROGRAM:
+        raise ValueError(f"{shlex.join(words)!r} is no command: it should begin with {PROGRAM}")
+    target: str | Commands = COMMANDS
+    rest = list(words[1:])
+    while not isinstance(target, str):
+        if not rest or rest[0] not in target:
+            raise ValueError(f"{shlex.join(words)!r} names no command of: {', '.join(target)}")
+        target = target[rest.pop(0)][0]
+    function = load(target)
+
+    @functools.wraps(function)
+    def given(*positional: Any, **named: Any) -> dict[str, Any]:
+        bound = inspect.signature(function).bind(*positional, **named)
+        bound.apply_defaults()
+        return bound.arguments
+
+    complaint = io.StringIO()
+    try:
+        with redirect_stderr(complaint), redirect_stdout(complaint):
+            return function, tyro.cli(given, args=rest)
+    except SystemExit as stop:
+        said = " ".join(complaint.getvalue().replace("│", " ").split())
+        raise ValueError(f"{shlex.join(words)!r} is not understood: {said}") from stop
+
+
+def _option(name: str, value: Any, default: Any) -> list[str]:
+    """The words that give an option its value: none where that is the default."""
+    if is_dataclass(value) and not isinstance(value, type):
+        if not isinstance(default, type(value)):
+            raise ValueError(f"{name} has no default of type {type(value).__name__} to compare it with")
+        inner = [
+            _option(f"{name}.{one.name}", getattr(value, one.name), getattr(default, one.name))
+            for one in fields(value)
+        ]
+        return [word for words in inner for word in words]
+    if value == default and isinstance(value, bool) == isinstance(default, bool):
+        return []
+    flag = f"--{name}".replace("_", "-")
+    if isinstance(value, bool) and isinstance(default, bool):
+        return [flag if value else f"--{name.replace('_', '-')}".replace("--", "--no-", 1)]
+    words = _words(name, value)
+    if len(words) == 1 and words[0].startswith("-"):
+        return [f"{flag}={words[0]}"]
+    return [flag, *words]
+
+
+def _words(name: str, value: Any) -> list[str]:
+    """A value, as a user would type it."""
+    if isinstance(value, tuple):
+        words = [word for item in value for word in _words(name, item)]
+        if any(word.startswith("-") and not _is_number(word) for word in words):
+            raise ValueError(f"{name} is {value}: in a list no word may begin with a dash")
+        return words
+    if isinstance(value, str | Path):
+        if str(value) in ("None", AND):
+            raise ValueError(f"{name} is {str(value)!r}, which stands for something else on a command line")
+        return [str(value)]
+    if value is None or isinstance(value, bool | int | float):
+        return [str(value)]
+    raise ValueError(f"{name} is of type {type(value).__name__}, which no command line gives")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
