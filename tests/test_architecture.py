@@ -14,7 +14,18 @@ ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "doojax").rglob("*.py"))
 
 # A module imports only what stands to its left, and its own package.
-ORDER = ["types", "commands", "keys", "modules", "parts", "geometry", "topology", "simulation", "tasks", "datasets"]
+ORDER = [
+    "types",
+    "commands",
+    "keys",
+    "modules",
+    "parts",
+    "geometry",
+    "topology",
+    "simulation",
+    "tasks",
+    "datasets",
+]
 ORDER += ["models", "augmentation", "learning", "planning", "experiments", "benchmarks", "viewer", "cli"]
 ALLOWED_IN = {  # packages from elsewhere that only some parts may import
     "mujoco": {"simulation", "benchmarks"},
