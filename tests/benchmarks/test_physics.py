@@ -112,12 +112,12 @@ def test_the_command_writes_what_it_found_and_names_what_it_does_not_know(tmp_pa
         yield Case(engine, settings).found("a", 2.0, 1.0, "m")
 
     monkeypatch.setitem(bench.GROUPS, "fall", (group, ("default",)))
-    bench.physics(("fall",), tasks=("default",), out=tmp_path)
+    bench.physics(("fall",), tasks=("default",), publish=tmp_path)
     rows = read_summary(tmp_path / "summary.json").rows
     assert {(row.metric, row.tags["settings"], row.value) for row in rows} == {
         ("a", "task", 2.0), ("a", "converged", 2.0), ("a_error", "task", 1.0), ("a_error", "converged", 1.0)
     }  # fmt: skip
     with pytest.raises(ValueError, match="unknown group 'flow'"):
-        bench.physics(("flow",), out=tmp_path)
+        bench.physics(("flow",), publish=tmp_path)
     with pytest.raises(ValueError, match="unknown task 'boats'"):
-        bench.physics(("fall",), tasks=("boats",), out=tmp_path)
+        bench.physics(("fall",), tasks=("boats",), publish=tmp_path)

@@ -17,7 +17,8 @@ from doojax.benchmarks.physics.fall import fall
 from doojax.benchmarks.physics.friction import friction
 from doojax.benchmarks.physics.statics import cantilevers, catenaries, clamped_scene, holding, twists
 from doojax.benchmarks.physics.swing import swing
-from doojax.experiments.reports import show, write_summary
+from doojax.commands import command_line
+from doojax.experiments.reports import publish_rows, show
 from doojax.simulation.engines import resolve_engine
 
 __all__ = ["clamped_scene", "physics"]
@@ -45,7 +46,7 @@ def physics(
     engines: tuple[str, ...] = ("mujoco",),
     tasks: tuple[str, ...] = TASKS,
     json: bool = False,
-    out: Path = Path("results/physics"),
+    publish: Path | None = None,
 ) -> None:
     """Measure how far ropes are from closed forms, ropes inside obstacles, and engines from each other.
 
@@ -58,12 +59,14 @@ def physics(
         engines: some of mujoco, mjx and warp. MJX compiles for up to a minute per scene.
         tasks: whose settings: rope_dragging, dual_gripper, or default for those of a plain scene.
         json: print the rows as JSON instead of a table.
-        out: the folder of summary.json.
+        publish: the folder of results whose summary.json gets the figures, such as results/physics; by
+            default they are only shown.
 
     Raises:
         ValueError: for an unknown group, task or engine.
         ModuleNotFoundError: for an engine that is not installed.
     """
+    command = command_line(physics, locals())
     engines = tuple(map(resolve_engine, engines))
     groups = groups or tuple(GROUPS)
     for name, known, what in ((groups, GROUPS, "group"), (tasks, TASKS, "task")):
@@ -84,10 +87,8 @@ def physics(
                         )
     if not findings:
         raise ValueError(f"none of the groups {', '.join(groups)} concerns the tasks {', '.join(tasks)}")
-    options = f"--engines {' '.join(engines)} --tasks {' '.join(tasks)}"
-    command = f"doojax bench physics {' '.join(groups)} {options}"
     rows = list(table.rows(findings))
-    write_summary(out / "summary.json", command=command, seed=SEED, rows=rows)
+    publish_rows(publish, command=command, seed=SEED, rows=rows)
     if json:
         show(rows, json)
     else:
