@@ -35,7 +35,7 @@ from doojax.models import CollisionChecker
 from doojax.planning import Goal, Problem, Rrt, RrtSettings, search
 from doojax.planning.metric import point_sample, rope_sample
 from doojax.simulation.scenes import parked_poses
-from doojax.simulation.state import SimState
+from doojax.simulation.state import SimState, at_rest
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
 from doojax.tasks.toy import ToySimulator
@@ -68,15 +68,8 @@ class Towed(eqx.Module):
     ) -> tuple[RopeState, Float[Array, ""]]:
         """The next state; no uncertainty."""
         position, quaternion = parked_poses(1)
-        before = SimState(
-            qpos=jnp.concatenate([state.points, state.grippers]).reshape(-1),
-            qvel=jnp.zeros(self.simulator.scene.nv),
-            obstacle_position=position,
-            obstacle_quaternion=quaternion,
-            holding=jnp.ones(1, dtype=bool),
-            faults=jnp.array(0, dtype=jnp.int32),
-            model_fields={},
-        )
+        positions = jnp.concatenate([state.points, state.grippers]).reshape(-1)
+        before = at_rest(self.simulator.scene, positions, position, quaternion)
         return self.simulator.observe(self.simulator.step(before, action)), jnp.zeros(())
 
 

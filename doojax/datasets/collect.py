@@ -178,6 +178,9 @@ def schema(task: Task, periods: int) -> dict[str, Field]:
         "body_quaternion": Field((bodies, 4), "float32", "1", "obstacle bodies, for replay"),
         "initial_qpos": Field((scene.nq,), "float32", "m, rad", "positions at the start, for replay"),
         "initial_qvel": Field((scene.nv,), "float32", "m/s, rad/s", "velocities at the start, for replay"),
+        "initial_commanded": Field(
+            (grippers, 2 if scene.planar else 3), "float32", "m", "where grippers had been sent, for replay"
+        ),
         "environment": Field((), "int32", "1", "trajectories with the same number share a scene"),
     }
 
@@ -200,6 +203,7 @@ def stored_arrays(
         "body_quaternion": start.obstacle_quaternion,
         "initial_qpos": start.qpos,
         "initial_qvel": start.qvel,
+        "initial_commanded": start.commanded,
         "environment": numbers.astype(np.int32),
     }
     arrays = {name: np.array(value) for name, value in values.items()}

@@ -16,7 +16,7 @@ from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
 from doojax.types import Trajectory
 
-_STATE_FIELDS = ("qpos", "qvel", "obstacle_position", "obstacle_quaternion", "holding")
+_STATE_FIELDS = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
 
 
 def save_failures(
@@ -89,6 +89,7 @@ def stored_starts(dataset: Dataset, rows: Int[np.ndarray, "B"]) -> SimState:
     return SimState(
         qpos=jnp.asarray(dataset["initial_qpos"][rows]),
         qvel=jnp.asarray(dataset["initial_qvel"][rows]),
+        commanded=jnp.asarray(dataset["initial_commanded"][rows]),
         obstacle_position=jnp.asarray(dataset["body_position"][rows]),
         obstacle_quaternion=jnp.asarray(dataset["body_quaternion"][rows]),
         holding=jnp.ones((count, dataset["grippers"][rows].shape[2]), dtype=bool),

@@ -35,7 +35,7 @@ RULE = "an obstacle blocks the straight way of the goal's point, yet a way as wi
 CAUGHT = "; random actions led to the start, and an obstacle held back the last of them"
 RANDOM_ACTIONS = 12
 TOUCHING, HELD_BACK = 1e-3, 1e-2  # m
-STATE = ("qpos", "qvel", "obstacle_position", "obstacle_quaternion", "holding")
+STATE = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
 GOAL = ("targets", "bodies", "tolerance")
 
 

@@ -44,7 +44,7 @@ NOT_WANTED = "not wanted"
 STUCK = "stuck, and there is no recovery"
 BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
-REPLAYED = ("qpos", "qvel", "obstacle_position", "obstacle_quaternion", "holding")
+REPLAYED = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
 
 
 def observed(simulator: Simulator, states: SimState) -> RopeState:

@@ -1,5 +1,6 @@
 """Pure functions of shapes and curves: distances, voxels, polylines, frames."""
 
+from doojax.geometry.crossing import enters as enters
 from doojax.geometry.curves import arc_lengths as arc_lengths
 from doojax.geometry.curves import catenary as catenary
 from doojax.geometry.curves import clamped_elastica as clamped_elastica

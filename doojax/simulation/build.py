@@ -1,7 +1,5 @@
 """From a `Scene` to the MuJoCo model that every engine runs."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 
@@ -12,6 +10,7 @@ from doojax.simulation.rope import (
     add_floor_friction,
     add_rope,
     link_name,
+    stabilise_root,
 )
 from doojax.simulation.scenes import PARKED_POSITION, PARKED_QUATERNION, Gripper, Obstacle, Scene, Shape
 from doojax.types import ShapeKind
@@ -48,12 +47,20 @@ HOLD_IMPEDANCE = (0.99, 0.999, 0.001, 0.5, 2.0)
 CONTACT_IMPEDANCE = (0.95, 0.99, 0.001, 0.5, 2.0)
 
 
-def build_model(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjModel:
+def build_model(
+    scene: Scene, rope: RopeParameters | None = None, *, with_sensors: bool = False
+) -> mujoco.MjModel:
     """Compile ``scene``, with other rope parameters than its own if ``rope`` is given.
 
-    Models of one scene differ in values only, never in shapes. Obstacles start parked.
+    Models of one scene differ in values only, never in shapes. Obstacles start parked. ``with_sensors``: of
+    all that `doojax.simulation.layout.read_sensors` reads.
     """
-    return build_spec(scene, rope).compile()
+    spec = build_spec(scene, rope)
+    if with_sensors:
+        _add_sensors(spec, scene)
+    model = spec.compile()
+    stabilise_root(model)
+    return model
 
 
 def build_spec(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjSpec:
@@ -73,7 +80,7 @@ def build_spec(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjSpe
         )
     for obstacle in scene.obstacles:
         _add_obstacle(spec, scene, obstacle)
-    add_rope(spec, scene.rope_model, rope, height=rope.radius)
+    add_rope(spec, scene.rope_model, rope, height=rope.radius, clamped=_clamped(scene))
     if scene.floor and scene.planar:
         add_floor_friction(spec, scene.rope_model, rope, scene.gravity, scene.solver.contact_time)
     for index, gripper in enumerate(scene.grippers):
@@ -86,6 +93,22 @@ def build_spec(scene: Scene, rope: RopeParameters | None = None) -> mujoco.MjSpe
     return spec
 
 
+def _add_sensors(spec: mujoco.MjSpec, scene: Scene) -> None:
+    """Links' centres, their axes, grippers and the points they hold, in world coordinates, in this order."""
+    kinds = mujoco.mjtSensor
+    bodies, sites = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_SITE
+    links = [link_name(index) for index in range(scene.rope_model.links)]
+    grippers = [f"gripper{index}" for index in range(len(scene.grippers))]
+    for kind, frame, names in (
+        (kinds.mjSENS_FRAMEPOS, bodies, links),
+        (kinds.mjSENS_FRAMEXAXIS, bodies, links),
+        (kinds.mjSENS_FRAMEPOS, bodies, grippers),
+        (kinds.mjSENS_FRAMEPOS, sites, [f"{name}_hold" for name in grippers]),
+    ):
+        for name in names:
+            spec.add_sensor(type=kind, objtype=frame, objname=name)
+
+
 def variable_fields(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     """The values of `VARIABLE_FIELDS` in ``model``."""
     return {name: np.array(getattr(model, name)) for name in VARIABLE_FIELDS}
@@ -96,19 +119,20 @@ def _set_options(spec: mujoco.MjSpec, scene: Scene) -> None:
     option.timestep = scene.timestep
     option.gravity = [0, 0, -scene.gravity]
     option.viscosity = scene.viscosity
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    integrators = {"euler": mujoco.mjtIntegrator.mjINT_EULER, "rk4": mujoco.mjtIntegrator.mjINT_RK4}
+    option.integrator = integrators[scene.integrator]
     # explicit damping: constraint forces are solved for in the same inertia that they act on, and one
     # factorisation a step is saved; doojax.simulation.rope keeps its joints stable
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     algorithms = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
     option.solver = algorithms[solver.algorithm]
-    option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    cones = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+    option.cone = cones[solver.cone]
     option.iterations, option.tolerance = solver.iterations, solver.tolerance
     option.ls_iterations = solver.line_search_iterations
     # a state that blows up must stay visible: MuJoCo would put the rope back to its start
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.add_numeric(name="max_contact_points", data=[solver.max_contact_points])
-    spec.add_numeric(name="max_geom_pairs", data=[solver.max_geom_pairs])
 
 
 def _add_obstacle(spec: mujoco.MjSpec, scene: Scene, obstacle: Obstacle) -> None:
@@ -141,6 +165,13 @@ def _geom_of(shape: Shape) -> tuple[mujoco.mjtGeom, list[float], list[float]]:
     }
     kind, size = kinds[shape.kind]
     return kind, size, list(shape.offset)
+
+
+def _clamped(scene: Scene) -> tuple[bool, bool]:
+    """Does a rigid hold clamp the rope's first end, and its last?"""
+    last = scene.rope_model.links - 1
+    rigid = {(gripper.link, gripper.end) for gripper in scene.grippers if gripper.hold == "rigid"}
+    return (0, -1) in rigid, (last, 1) in rigid
 
 
 def _add_gripper(
@@ -196,5 +227,5 @@ def _add_gripper(
 
 def with_parameters(scene: Scene, ropes: list[RopeParameters]) -> dict[str, np.ndarray]:
     """Stack the variable model fields of ``scene`` for each of ``ropes``: one leading axis, same shapes."""
-    fields = [variable_fields(build_model(replace(scene), rope)) for rope in ropes]
+    fields = [variable_fields(build_model(scene, rope)) for rope in ropes]
     return {name: np.stack([f[name] for f in fields]) for name in VARIABLE_FIELDS}

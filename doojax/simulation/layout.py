@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from doojax.geometry.crossing import enters
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.rope import link_name
 from doojax.simulation.scenes import Scene
@@ -15,6 +17,8 @@ from doojax.types import Obstacles, RopeState
 
 if TYPE_CHECKING:
     import mujoco
+
+MOST_STEPS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,17 +83,60 @@ def read_observation(
     )
 
 
+def read_sensors(
+    scene: Scene,
+    half_length: Float[Array, "*b"],
+    radius: Float[Array, "*b"],
+    values: Float[Array, "*b sensors"],
+) -> Observation:
+    """Read rope and grippers off the sensors of a model built ``with_sensors``."""
+    links, grippers = scene.rope_model.links, len(scene.grippers)
+    at = values.reshape(*values.shape[:-1], -1, 3)
+    points, axes, hands, holds = jnp.split(at, np.cumsum([links, links, grippers]), axis=-2)
+    return Observation(RopeState(points, hands), axes * half_length[..., None, None], holds, radius)
+
+
 def clearance(scene: Scene, obstacles: Obstacles, seen: Observation) -> Float[Array, ""]:
     """Least distance between rope or grippers and the obstacles, metres; negative when inside.
 
     Links are sampled at their centre, ends and half way: an edge between two samples is missed by less than
     pitch^2 / (128 radius), 1 mm for the thickest link here.
     """
+    points, radii = _samples(scene, seen)
+    return jnp.min(signed_distance(obstacles, points) - radii)
+
+
+def watch(
+    scene: Scene, obstacles: Obstacles, seen: Observation, periods: int
+) -> tuple[Float[Array, "T1"], Bool[Array, "T"]]:
+    """What happened between the states of T control periods, from K = T n + 1 looks at equal intervals.
+
+    Returns:
+        `clearance` at the first look, then the least in each period (m), its end included; and whether
+        something entered an obstacle in the period by more than its own radius, or went right through: a
+        sample of `clearance`, moved straight from one look to the next, meets an obstacle.
+    """
+    points, radii = jax.vmap(lambda one: _samples(scene, one))(seen)
+    near = jnp.min(jax.vmap(lambda p: signed_distance(obstacles, p))(points) - radii, axis=-1)
+    least = near[1:].reshape(periods, -1).min(1)
+    entered = jax.vmap(lambda p, q: enters(obstacles, p, q).any())(points[:-1], points[1:])
+    return jnp.append(near[:1], least), entered.reshape(periods, -1).any(1)
+
+
+def look_every(scene: Scene) -> int:
+    """Physics steps between two looks of `watch`: a divisor of a period's, at most `MOST_STEPS`."""
+    return max(steps for steps in range(1, MOST_STEPS + 1) if scene.substeps % steps == 0)
+
+
+def _samples(scene: Scene, seen: Observation) -> tuple[Float[Array, "P 3"], Float[Array, "P"]]:
+    """Points on the links' axes and the grippers' centres, and the radius around each."""
     steps = jnp.linspace(-1.0, 1.0, 5)[:, None, None]
-    samples = (seen.rope.points + steps * seen.half_links).reshape(-1, 3)
-    rope = jnp.min(signed_distance(obstacles, samples)) - seen.radius
-    radii = jnp.array([gripper.radius for gripper in scene.grippers])
-    return jnp.minimum(rope, jnp.min(signed_distance(obstacles, seen.rope.grippers) - radii, initial=jnp.inf))
+    links = (seen.rope.points + steps * seen.half_links).reshape(-1, 3)
+    radii = jnp.array([gripper.radius for gripper in scene.grippers], dtype=links.dtype)
+    return (
+        jnp.concatenate([links, seen.rope.grippers]),
+        jnp.concatenate([jnp.full(len(links), seen.radius), radii]),
+    )
 
 
 def stretch(scene: Scene, holding: Bool[Array, "G"], seen: Observation) -> Float[Array, ""]:
@@ -103,15 +150,27 @@ def stretch(scene: Scene, holding: Bool[Array, "G"], seen: Observation) -> Float
     return (gaps + (steps - pitch).sum()) / length
 
 
-def gripper_targets(scene: Scene, start: Any, action: Any, xp: Any = jnp) -> Any:
-    """Commands of one control period, ``[*b, S, G D]``, from gripper positions and actions ``[*b, G, D]``.
+def gripper_targets(scene: Scene, hand: Any, commanded: Any, action: Any, xp: Any = jnp) -> Any:
+    """Where each gripper is sent at each of S physics steps of a control period, ``[*b, S, G, D]``, metres.
 
-    The target moves in a straight line at the gripper's maximum speed and then stays. ``xp`` is
-    jax.numpy or numpy.
+    The target moves by the action, in a straight line at the gripper's maximum speed, and then stays. It sets
+    out from where the gripper was last sent, so that a load that keeps the hand from getting there quite does
+    not make it sink from action to action; but it leads the hand, along each axis, by no more than the
+    controller's greatest force needs: a hand held back by an obstacle turns round at once.
+
+    Args:
+        scene: whose grippers.
+        hand: ``[*b, G, D]``, where the grippers are, m.
+        commanded: ``[*b, G, D]``, where they were last sent, m.
+        action: ``[*b, G, D]``, displacements, m.
+        xp: jax.numpy or numpy.
     """
-    distance = xp.maximum((action**2).sum(-1) ** 0.5, 1e-9)
-    speed = xp.array([gripper.max_speed for gripper in scene.grippers])
-    elapsed = xp.arange(1, scene.substeps + 1) * scene.timestep
+    lead = xp.array([[gripper.lead] for gripper in scene.grippers], dtype=hand.dtype)
+    start = xp.clip(commanded, hand - lead, hand + lead)
+    square = (action**2).sum(-1)
+    still = square == 0  # where the square root has no derivative
+    distance = xp.maximum(xp.where(still, 1.0, square) ** 0.5, 1e-9)
+    speed = xp.array([gripper.max_speed for gripper in scene.grippers], dtype=hand.dtype)
+    elapsed = xp.arange(1, scene.substeps + 1, dtype=hand.dtype) * scene.timestep
     fraction = xp.minimum(elapsed[:, None] * (speed / distance)[..., None, :], 1.0)
-    targets = start[..., None, :, :] + fraction[..., None] * action[..., None, :, :]
-    return targets.reshape(*targets.shape[:-2], -1)
+    return start[..., None, :, :] + fraction[..., None] * action[..., None, :, :]

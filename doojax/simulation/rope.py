@@ -1,10 +1,13 @@
 """Ropes as MuJoCo bodies: capsule chains, planar capsule chains and point masses.
 
 A rope's parameters are SI quantities of the continuum (EI, GJ, total mass, ...); the joints and tendons that
-carry them are derived from the number of links, so refining a rope does not change it. Stiffness lives in
+carry them are derived from the number of links, so refining a rope does not change it: N links have N - 1
+joints, which bend for the rope from the middle of the first link to the middle of the last. Where a rigid
+hold clamps an outer end, the joint beside it bends for the half link up to the clamp, too. Stiffness lives in
 joints and tendons and never in MuJoCo's elasticity plugins, which MJX ignores without a word.
 """
 
+import cmath
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -15,7 +18,9 @@ if TYPE_CHECKING:
 RopeKind = Literal["capsule_chain", "planar_chain", "point_masses"]
 
 ROPE_CONTACT, OBSTACLE_CONTACT, FLOOR_CONTACT = 1, 2, 4  # collision bits
-FRICTION_DIRECTIONS = 3  # in which a planar rope's link rubs on the floor
+ROOT = "rope_root"  # name of a rope's free joint
+FRICTION_DIRECTIONS = 6  # in which a planar rope's link rubs on the floor
+MODE_ERROR = 0.03  # of the first bending mode, that a time step may cause
 FAR = 100.0  # m to where the lines lie that those directions point at: they turn by less than a degree
 
 
@@ -63,11 +68,48 @@ def link_name(index: int) -> str:
     return f"rope{index}"
 
 
-def add_rope(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, height: float) -> None:
+def first_mode_error(rope: RopeParameters, timestep: float) -> float:
+    """By what fraction a ``timestep`` (s) misplaces the first bending mode of a rope clamped at one end.
+
+    The mode obeys x'' + t w^2 x' + w^2 x = 0 with w = 1.8751^2 sqrt(EI / (m / L)) / L^2 (Euler and Bernoulli)
+    and t = damping / EI. The simulation adds the joints' stabilising inertia and steps by Euler's method.
+    Compared is the eigenvalue that decays most slowly: a frequency, or the rate at which a rope that is
+    damped beyond it creeps.
+    """
+    if rope.bending_stiffness == 0:
+        return 0.0
+    square = 1.8751**4 * rope.bending_stiffness * rope.length / rope.mass / rope.length**4
+    retarded = rope.bending_damping / rope.bending_stiffness * square
+    inertia = 1 + _stabilising_inertia(square, retarded, timestep)
+    true = _slowest(retarded, square)
+    # one step: v' = v - dt (retarded v + square x) / inertia, x' = x + dt v'
+    v_by_v, v_by_x = 1 - timestep * retarded / inertia, -timestep * square / inertia
+    half_trace = (v_by_v + 1 + timestep * v_by_x) / 2
+    factor = half_trace + cmath.sqrt(half_trace**2 - v_by_v)
+    return abs(cmath.log(factor) / timestep - true) / abs(true)
+
+
+def _slowest(damping: float, square: float) -> complex:
+    """The root of s^2 + damping s + square = 0 with the greatest real part (then imaginary part)."""
+    half, root = damping / 2, cmath.sqrt(damping**2 / 4 - square)
+    # the other root first: the difference of nearly equal numbers has no digits
+    return -half + root if root.imag else -square / (half + root)
+
+
+def add_rope(
+    spec: "mujoco.MjSpec",
+    model: RopeModel,
+    rope: RopeParameters,
+    height: float,
+    clamped: tuple[bool, bool] = (False, False),
+) -> None:
     """Add a straight rope along x, centred at x = y = 0 and at ``height``, to ``spec``.
 
     Link i's centre lies at x = (i + 1/2) length / links - length / 2. Chains are rooted at their middle link:
-    compile and run time in MJX grow with the depth of the tree.
+    compile and run time in MJX grow with the depth of the tree. ``clamped``: are its first and last end?
+
+    Raises:
+        ValueError: for a rope too stiff for the spec's time step, or a stiff rope of point masses.
     """
     if model.kind == "point_masses":
         if rope.bending_stiffness or rope.twisting_stiffness or rope.bending_damping:
@@ -78,12 +120,42 @@ def add_rope(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, heig
             )
         _add_point_masses(spec, model, rope, height)
     else:
-        _add_chain(spec, model, rope, height)
+        _add_chain(spec, model, rope, height, clamped)
 
 
-def _add_chain(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, height: float) -> None:
+def _require_calm_links(model: RopeModel, rope: RopeParameters, timestep: float) -> None:
+    """Refuse ropes whose links would spin up about their axes, which steps of Euler's method do not see."""
+    link_mass, pitch = rope.mass / model.links, rope.length / model.links
+    least = link_mass * rope.radius**2 * pitch / timestep  # a link's spin then dies within half a step
+    if rope.bending_damping < least:
+        raise ValueError(
+            f"rope bending_damping is {rope.bending_damping:g} N m^2 s, expected at least {least:.2g} for "
+            f"{model.links} links and a timestep of {timestep:g} s: less, and the rope gains energy until it "
+            'bursts; or use Scene(integrator="rk4"), which takes four times as long'
+        )
+
+
+def _require_small_step(rope: RopeParameters, timestep: float) -> None:
+    error = first_mode_error(rope, timestep)
+    if error > MODE_ERROR:
+        enough = timestep
+        while first_mode_error(rope, enough) > MODE_ERROR:
+            enough /= 1.1
+        raise ValueError(
+            f"bending_stiffness {rope.bending_stiffness:g} N m^2 is too much for a timestep of {timestep:g} "
+            f"s: the rope's first bending mode would be off by {error:.0%}, expected at most "
+            f"{MODE_ERROR:.0%}; use a timestep of at most {enough:.2g} s"
+        )
+
+
+def _add_chain(
+    spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, height: float, clamped: tuple[bool, bool]
+) -> None:
     import mujoco
 
+    _require_small_step(rope, spec.option.timestep)
+    if model.kind == "capsule_chain" and spec.option.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        _require_calm_links(model, rope, spec.option.timestep)
     planar = model.kind == "planar_chain"
     pitch, mass = rope.length / model.links, rope.mass / model.links
     middle = model.links // 2
@@ -96,7 +168,9 @@ def _add_chain(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, he
         else:
             step = 1 if index > middle else -1
             body = bodies[index - step].add_body(name=link_name(index), pos=[step * pitch, 0, 0])
-            _add_bending_joints(spec, body, rope, pitch, anchor=-step * pitch / 2, planar=planar)
+            held = {0: clamped[0], model.links - 1: clamped[1]}.get(index, False)
+            bends_for = 1.5 * pitch if held else pitch
+            _add_bending_joints(spec, body, rope, bends_for, anchor=-step * pitch / 2, planar=planar)
         body.mass = mass
         axial, transverse = mass * rope.radius**2 / 2, mass * (pitch**2 / 12 + rope.radius**2 / 4)
         body.inertia = [axial, transverse, transverse]
@@ -112,12 +186,13 @@ def _add_chain(spec: "mujoco.MjSpec", model: RopeModel, rope: RopeParameters, he
 def _add_root_joints(
     spec: "mujoco.MjSpec", body: "mujoco.MjsBody", rope: RopeParameters, pitch: float, planar: bool
 ) -> None:
-    """A free joint, with the inertia of the joints beside it: without, the one link that has none of its own
-    spins up about its axis where friction turns it, until the rope bursts. Its mass grows by a thousandth."""
+    """A free joint whose turns about the link's own axis have the inertia of the twisting joints beside it:
+    without, the one link that has none spins up where friction turns it, until the rope bursts.
+    `stabilise_root` takes that inertia away again from the joint's other degrees of freedom."""
     import mujoco
 
     if not planar:
-        root = body.add_freejoint(name="rope_root")
+        root = body.add_freejoint(name=ROOT)
         root.armature = _stabilising_inertia(
             rope.twisting_stiffness / pitch, rope.bending_damping / pitch, spec.option.timestep
         )
@@ -125,6 +200,18 @@ def _add_root_joints(
     for axis, direction in {"x": [1, 0, 0], "y": [0, 1, 0]}.items():
         body.add_joint(name=f"rope_root_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
     body.add_joint(name="rope_root_yaw", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+
+
+def stabilise_root(model: "mujoco.MjModel") -> None:
+    """Leave a free root's stabilising inertia to its turns about its axis: MJCF knows one value for all six
+    degrees of freedom, and the others move the whole rope."""
+    import mujoco
+
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, ROOT) < 0:
+        return
+    first = model.joint(ROOT).dofadr[0]
+    model.dof_armature[[first + i for i in range(6) if i != 3]] = 0
+    mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def _add_bending_joints(
@@ -137,9 +224,10 @@ def _add_bending_joints(
 ) -> None:
     """Hinges about z, and for a rope in space about y and x: bending, bending, twisting.
 
-    The integrator is explicit. A joint inertia (armature) of k dt^2 + c dt keeps a spring k and a damper c
-    stable whatever the link's own inertia: k dt^2 / a + 2 c dt / a < 4 bounds the step. It slows a mode of
-    angular frequency w by a fraction of order (w dt)^2, and no static shape depends on it.
+    The integrator is explicit. A joint inertia (armature) of k dt^2 / 2 + c dt keeps a spring k and a damper
+    c stable whatever the link's own inertia: k dt^2 / a + 2 c dt / a < 4 bounds the step. It adds the
+    fraction (w dt)^2 / 2 + 2 z w dt to the inertia of a mode of angular frequency w and damping ratio z,
+    which `first_mode_error` bounds; no static shape depends on it.
     """
     import mujoco
 
@@ -161,7 +249,7 @@ def _add_bending_joints(
 
 
 def _stabilising_inertia(stiffness: float, damping: float, timestep: float) -> float:
-    return stiffness * timestep**2 + damping * timestep
+    return stiffness * timestep**2 / 2 + damping * timestep
 
 
 def _add_link_geoms(body: "mujoco.MjsBody", model: RopeModel, rope: RopeParameters, pitch: float) -> None:
@@ -187,11 +275,12 @@ def add_floor_friction(
 ) -> None:
     """Coulomb friction between a planar rope and the floor that carries it: each link its own weight's share.
 
-    A planar rope cannot leave the floor, so no contact has to be solved for. Each link rubs along three
-    horizontal lines, 60 degrees apart, with at most a fixed force each, as the `frictionloss` of a tendon to
-    a point far along the line. The forces add up to a hexagon in place of Coulomb's circle: friction is right
-    on average over directions, at most 5 % too large and 9 % too small. (MuJoCo's friction pyramid gives 0
-    to 29 % too little, and shares out the weight among links that slide and links that rest as it likes.)
+    A planar rope cannot leave the floor, so no contact has to be solved for. Each link rubs along six
+    horizontal lines, 30 degrees apart, with at most a fixed force each, as the `frictionloss` of a tendon to
+    a point far along the line. The forces add up to a polygon with twelve corners in place of Coulomb's
+    circle: friction is at most 1.2 % too large and 2.3 % too small along the motion, at most 15 degrees off
+    its direction, and a link that slides along a line is held sideways by at most 0.26 of its friction.
+    (Contacts would share out the weight among links that slide and links that rest as they like.)
     """
     weight = gravity * rope.mass / model.links
     # never zero: MJX would leave out the rows that another element of a batch may need

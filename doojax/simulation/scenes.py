@@ -5,11 +5,11 @@ Nothing here imports MuJoCo; `doojax.simulation.build` turns a `Scene` into a mo
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
 
 from doojax.geometry.frames import rotate
 from doojax.simulation.rope import RopeModel, RopeParameters
@@ -60,18 +60,27 @@ class Gripper:
     stiffness: float = 2500.0  # N/m, of the position controller
     hold: Literal["point", "rigid"] = "point"  # a point lets the rope turn in the hand
 
+    @property
+    def lead(self) -> float:
+        """Metres along an axis that a command can be ahead of the hand: beyond, the force is at its bound."""
+        return self.max_force / self.stiffness
+
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """MuJoCo's solver; the same values serve every engine, because results depend on them."""
+    """MuJoCo's solver; the same values serve every engine, because results depend on them.
 
-    algorithm: Literal["newton", "cg"] = "newton"  # cg pays from about 30 degrees of freedom on
-    iterations: int = 6
-    line_search_iterations: int = 6
+    The defaults converge: Newton's method takes 2 to 4 iterations of most steps, and the bounds are there for
+    the rest. A solver that is cut off earlier lets ropes gain energy and gives any friction at all.
+    """
+
+    algorithm: Literal["newton", "cg"] = "newton"
+    iterations: int = 50
+    line_search_iterations: int = 50
     tolerance: float = 1e-8  # of an iteration's improvement, below which it stops; warp: at least 1e-6
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"  # a pyramid's friction is up to 29 % too small
     contact_time: float = 0.01  # s, time constant of contacts and holds; at least two time steps
     max_contact_points: int = 20  # kept by MJX, most penetrating first; MuJoCo C keeps all
-    max_geom_pairs: int = 24  # tested by MJX after a bounding sphere test, per pair of geometry types
 
 
 @dataclass(frozen=True)
@@ -88,6 +97,9 @@ class Scene:
     substeps: int = 250  # physics steps in a control period
     gravity: float = 9.81  # m/s^2
     viscosity: float = 0.0  # of the medium, Pa s: drag that stands for all that calms a swinging rope
+    integrator: Literal["euler", "rk4"] = (
+        "euler"  # rk4 keeps the energy of an undamped rope, at 4 times the cost
+    )
     solver: SolverSettings = field(default_factory=SolverSettings)
 
     def __post_init__(self):
@@ -121,6 +133,11 @@ class Scene:
         links, hands = self.rope_model.links, len(self.grippers)
         rope = {"planar_chain": links + 2, "capsule_chain": 3 * links + 3, "point_masses": 3 * links}
         return rope[self.rope_model.kind] + (2 if self.planar else 3) * hands
+
+    def hands(self, qpos: Shaped[Any, "*b nq"]) -> Shaped[Any, "*b G D"]:
+        """The grippers' world coordinates (m) among generalised positions; D is 2 in a plane, else 3."""
+        count, axes = len(self.grippers), 2 if self.planar else 3
+        return qpos[..., self.nq - count * axes :].reshape(*qpos.shape[:-1], count, axes)
 
     @property
     def control_period(self) -> float:

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from doojax.simulation.scenes import Scene
 from doojax.types import Obstacles, RopeState, Trajectory
 
 MAX_VELOCITY = 1000.0  # m/s or rad/s: beyond it a state counts as unstable
@@ -20,6 +21,7 @@ class Fault(IntFlag):
     UNSTABLE = 2  # a joint moves faster than MAX_VELOCITY
     CONTACTS_DROPPED = 4  # MJX met more contacts than the scene's max_contact_points
     SCENE_OVERFULL = 8  # no room was found for an obstacle: it stays parked
+    PASSED_THROUGH = 16  # the axis of a link, or the centre of a gripper, went into an obstacle or through it
 
 
 class SimState(eqx.Module):
@@ -27,11 +29,28 @@ class SimState(eqx.Module):
 
     qpos: Float[Array, "*b nq"]
     qvel: Float[Array, "*b nv"]
+    commanded: Float[Array, "*b G D"]  # where each gripper was last sent, world frame, m; D is 2 in a plane
     obstacle_position: Float[Array, "*b B 3"]  # of the scene's obstacle bodies, world frame, m
     obstacle_quaternion: Float[Array, "*b B 4"]
     holding: Bool[Array, "*b G"]  # does gripper g hold its link?
     faults: Int[Array, "*b"]  # Fault bits of the last control period
     model_fields: dict[str, Any]  # model values that differ by element; empty for the scene's own rope
+
+
+def at_rest(
+    scene: Scene, qpos: Float[Array, "nq"], position: Float[Array, "B 3"], quaternion: Float[Array, "B 4"]
+) -> SimState:
+    """The scene's own rope at rest, held by every gripper, its B obstacle bodies at the given poses (m)."""
+    return SimState(
+        qpos=qpos,
+        qvel=jnp.zeros(scene.nv, qpos.dtype),
+        commanded=scene.hands(qpos),
+        obstacle_position=position,
+        obstacle_quaternion=quaternion,
+        holding=jnp.ones(len(scene.grippers), dtype=bool),
+        faults=jnp.array(0, dtype=jnp.int32),
+        model_fields={},
+    )
 
 
 Start = Callable[[Array], SimState]

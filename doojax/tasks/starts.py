@@ -17,7 +17,7 @@ from doojax.geometry.frames import quaternion_from_yaw, quaternion_multiply, rot
 from doojax.geometry.sdf import signed_distance
 from doojax.modules import Jittable
 from doojax.simulation.scenes import Scene, obstacles_at, parked_poses
-from doojax.simulation.state import Fault, SimState
+from doojax.simulation.state import Fault, SimState, at_rest
 
 CLEARANCE = 0.01  # m between the rope or a gripper and any obstacle at the start
 PLACEMENTS = 64  # tried for each obstacle
@@ -53,15 +53,8 @@ class RandomStart(Jittable):
         overfull = jnp.array(False)
         if self.placements is not None:
             position, quaternion, overfull = self._place_obstacles(self.placements, obstacle_key, points)
-        return SimState(
-            qpos=qpos,
-            qvel=jnp.zeros(self.scene.nv),
-            obstacle_position=position,
-            obstacle_quaternion=quaternion,
-            holding=jnp.ones(len(self.scene.grippers), dtype=bool),
-            faults=jnp.where(overfull, int(Fault.SCENE_OVERFULL), 0),
-            model_fields={},
-        )
+        start = at_rest(self.scene, qpos, position, quaternion)
+        return replace(start, faults=jnp.where(overfull, int(Fault.SCENE_OVERFULL), 0))
 
     def _place_obstacles(
         self, placements: tuple[Placement, ...], key: Array, points: Float[Array, "P 3"]
@@ -116,7 +109,7 @@ def settle_bank(
     from doojax.simulation.engines.mujoco import MujocoSimulator
 
     count = len(starts)
-    states = at_rest(scene, starts)
+    states = resting(scene, starts)
     simulator = MujocoSimulator(scene, start=lambda key: states)
     last, trajectory = simulator.rollout(states, jnp.asarray(actions))
     if np.any(trajectory.faults):
@@ -133,19 +126,10 @@ def settle_bank(
     )
 
 
-def at_rest(scene: Scene, qpos: Float[np.ndarray, "K nq"]) -> SimState:
+def resting(scene: Scene, qpos: Float[np.ndarray, "K nq"]) -> SimState:
     """K states with these positions, at rest, every gripper holding the rope, all obstacles parked."""
-    count = len(qpos)
-    position, quaternion = parked_poses(len(scene.obstacles))
-    return SimState(
-        qpos=jnp.asarray(qpos, dtype=jnp.float32),
-        qvel=jnp.zeros((count, scene.nv)),
-        obstacle_position=jnp.tile(position, (count, 1, 1)),
-        obstacle_quaternion=jnp.tile(quaternion, (count, 1, 1)),
-        holding=jnp.ones((count, len(scene.grippers)), dtype=bool),
-        faults=jnp.zeros(count, dtype=jnp.int32),
-        model_fields={},
-    )
+    parked = parked_poses(len(scene.obstacles))
+    return jax.vmap(lambda own: at_rest(scene, own, *parked))(jnp.asarray(qpos, dtype=jnp.float32))
 
 
 def straight_qpos(scene: Scene, height: float) -> Float[np.ndarray, "nq"]:

@@ -12,7 +12,7 @@ from doojax.modules import Jittable
 from doojax.simulation.layout import Observation, clearance, stretch
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, obstacles_at, parked_poses
-from doojax.simulation.state import SimState
+from doojax.simulation.state import SimState, at_rest
 from doojax.tasks.base import (
     Box,
     Phase,
@@ -75,15 +75,7 @@ class ToySimulator(Jittable):
         away = straight(jnp.array([-0.3, 0.0, HEIGHT]), jnp.array(0.0))
         points = first_valid(key, draw, valid, fallback=away)
         gripper = points[-1]
-        return SimState(
-            qpos=jnp.concatenate([points, gripper[None]]).reshape(-1),
-            qvel=jnp.zeros(self.scene.nv),
-            obstacle_position=position,
-            obstacle_quaternion=quaternion,
-            holding=jnp.ones(1, dtype=bool),
-            faults=jnp.array(0, dtype=jnp.int32),
-            model_fields={},
-        )
+        return at_rest(self.scene, jnp.concatenate([points, gripper[None]]).reshape(-1), position, quaternion)
 
     def step(self, state: SimState, action: Float[Array, "1 3"]) -> SimState:
         """Move the gripper by ``action`` (m) or until it touches the wall; then pull the points along."""

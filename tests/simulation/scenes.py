@@ -5,7 +5,7 @@ import numpy as np
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape
 from doojax.simulation.state import SimState
-from doojax.tasks.starts import at_rest, straight_qpos
+from doojax.tasks.starts import resting, straight_qpos
 from doojax.types import ShapeKind
 
 
@@ -27,4 +27,4 @@ def no_start(key):
 
 
 def straight_states(scene: Scene, batch: int, height: float = 1.0) -> SimState:
-    return at_rest(scene, np.tile(straight_qpos(scene, height), (batch, 1)))
+    return resting(scene, np.tile(straight_qpos(scene, height), (batch, 1)))

@@ -151,8 +151,14 @@ def test_a_rope_pulled_taut_over_an_edge_neither_bursts_nor_passes_through_it():
         start = {name: jnp.repeat(stored[name], BATCH, axis=0) for name in fields}
         actions = np.repeat(stored["actions"], BATCH, axis=0)
     actions[1:] += np.random.default_rng(0).normal(0, 5e-4, actions[1:].shape)
-    states = SimState(**start, faults=jnp.zeros(BATCH, dtype=jnp.int32), model_fields={})
-    simulator = make_simulator(DualGripper().scene, start=no_start, engine="mujoco")
+    scene = DualGripper().scene
+    states = SimState(
+        **start,
+        commanded=scene.hands(start["qpos"]),
+        faults=jnp.zeros(BATCH, dtype=jnp.int32),
+        model_fields={},
+    )
+    simulator = make_simulator(scene, start=no_start, engine="mujoco")
     _, seen = simulator.rollout(states, jnp.asarray(actions))
     assert not seen.faults.any()
     assert seen.clearance.min() > -2e-3

@@ -15,7 +15,7 @@ from doojax.simulation.rope import link_name
 from doojax.simulation.scenes import Gripper, Scene, SolverSettings
 from doojax.simulation.state import SimState, Simulator
 from doojax.tasks import make_task
-from doojax.tasks.starts import at_rest, straight_qpos
+from doojax.tasks.starts import resting, straight_qpos
 
 GRAVITY = 9.81  # m/s^2
 WITHIN = 0.03  # of the closed form
@@ -146,7 +146,7 @@ def bent_qpos(
 
 def state_of(scene: Scene, qpos: Float[np.ndarray, "B nq"], holding: bool = True) -> SimState:
     """B states at rest with these positions."""
-    states = at_rest(scene, qpos)
+    states = resting(scene, qpos)
     return replace(states, holding=jnp.full_like(states.holding, holding))
 
 

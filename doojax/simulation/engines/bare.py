@@ -31,6 +31,9 @@ def bare_rollout(
         write_state(models[-1], jax.tree.map(lambda leaf, i=index: leaf[i], host))
     initial = np.concatenate([np.zeros((len(models), 1)), host.qpos, host.qvel], axis=1)
     commands = np.asarray(actions, dtype=float)[..., : layout.gripper_qpos.shape[1]]
-    targets = gripper_targets(scene, initial[:, 1 + layout.gripper_qpos], commands, xp=np)
+    targets = gripper_targets(
+        scene, initial[:, 1 + layout.gripper_qpos], np.asarray(host.commanded), commands, xp=np
+    )
+    targets = targets.reshape(*targets.shape[:2], -1)
     pool, data = Rollout(nthread=threads), [mujoco.MjData(model) for _ in range(threads)]
     return lambda: pool.rollout(models, data, initial, targets, chunk_size=1)[0]

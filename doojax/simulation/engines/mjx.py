@@ -16,8 +16,10 @@ from doojax.simulation.layout import (
     Observation,
     clearance,
     gripper_targets,
+    look_every,
     read_observation,
     stretch,
+    watch,
 )
 from doojax.simulation.scenes import Scene, obstacles_at
 from doojax.simulation.state import Fault, SimState, Start, find_faults
@@ -55,35 +57,55 @@ class MjxSimulator(eqx.Module):
 
     def step(self, state: SimState, action: Float[Array, "G 3"]) -> SimState:
         """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
-        grippers = state.qpos[self.layout.gripper_qpos]
-        targets = gripper_targets(self.scene, grippers, action[:, : grippers.shape[-1]])
+        return self._step(state, action)[0]
+
+    def _step(self, state: SimState, action: Float[Array, "G 3"]) -> tuple[SimState, Float[Array, ""]]:
+        """`step`, and the least clearance (m) on the way."""
+        hands = state.qpos[self.layout.gripper_qpos]
+        targets = gripper_targets(self.scene, hands, state.commanded, action[:, : hands.shape[-1]])
         advance = MjxSimulator._advance
         if self.model.impl == mjx.Impl.WARP:
             from doojax.simulation.engines.warp import for_any_batch
 
-            qpos, qvel, dropped = for_any_batch(self, advance)(state, targets)
+            qpos, qvel, looks, dropped = for_any_batch(self, advance)(state, targets)
         else:
-            qpos, qvel, dropped = advance(self, state, targets)
-        faults = find_faults(qpos, qvel) + jnp.where(dropped, int(Fault.CONTACTS_DROPPED), 0)
-        return eqx.tree_at(
-            lambda s: (s.qpos, s.qvel, s.faults), state, (qpos, qvel, faults.astype(jnp.int32))
+            qpos, qvel, looks, dropped = advance(self, state, targets)
+        (_, near), (entered,) = watch(self.scene, self.obstacles(state), looks, periods=1)
+        faults = (
+            find_faults(qpos, qvel)
+            + jnp.where(dropped, int(Fault.CONTACTS_DROPPED), 0)
+            + jnp.where(entered, int(Fault.PASSED_THROUGH), 0)
         )
+        after = eqx.tree_at(
+            lambda s: (s.qpos, s.qvel, s.commanded, s.faults),
+            state,
+            (qpos, qvel, targets[-1].astype(state.commanded.dtype), faults.astype(jnp.int32)),
+        )
+        return after, near
 
     def _advance(
-        self, state: SimState, targets: Float[Array, "S GD"]
-    ) -> tuple[Array, Array, Bool[Array, ""]]:
-        """One physics step per target: positions, velocities, and whether contacts were dropped."""
+        self, state: SimState, targets: Float[Array, "S G D"]
+    ) -> tuple[Array, Array, Observation, Bool[Array, ""]]:
+        """One physics step per target: positions, velocities, looks on the way, were contacts dropped."""
         model, data = self._load(state)
 
         def substep(carry, target):
             before, dropped = carry
-            data = mjx.step(model, before.replace(ctrl=target))
+            data = mjx.step(model, before.replace(ctrl=target.reshape(-1)))
             # with 64-bit floats enabled, MJX also widens the indices of tendons
             data = jax.tree.map(lambda new, old: new.astype(old.dtype), data, before)
             return (data, dropped | self._contacts_dropped(data)), None
 
-        (data, dropped), _ = jax.lax.scan(substep, (data, jnp.array(False)), targets)
-        return data.qpos, data.qvel, dropped
+        def look(carry, targets):
+            (data, dropped), _ = jax.lax.scan(substep, carry, targets)
+            return (data, dropped), data.qpos
+
+        every = look_every(self.scene)
+        chunks = targets.reshape(-1, every, *targets.shape[1:])
+        (data, dropped), qpos = jax.lax.scan(look, (data, jnp.array(False)), chunks)
+        qpos = jnp.concatenate([state.qpos[None], qpos])
+        looks = jax.vmap(lambda q: self.observation(eqx.tree_at(lambda s: s.qpos, state, q)))(qpos)
+        return data.qpos, data.qvel, looks, dropped
 
     def observe(self, state: SimState) -> RopeState:
         """Link centres and gripper positions, world frame, metres."""
@@ -118,20 +140,18 @@ class MjxSimulator(eqx.Module):
         return jax.vmap(self._rollout_one)(states, actions)
 
     def _rollout_one(self, state: SimState, actions: Float[Array, "T G 3"]) -> tuple[SimState, Trajectory]:
-        obstacles = self.obstacles(state)
-
         def period(state, action):
-            after = self.step(state, action)
-            return after, (after.qpos, after.faults)
+            after, near = self._step(state, action)
+            return after, (self.observation(after), near, after.faults)
 
-        last, (qpos, faults) = jax.lax.scan(period, state, actions)
-        qpos = jnp.concatenate([state.qpos[None], qpos])
-        seen = jax.vmap(lambda q: self.observation(eqx.tree_at(lambda s: s.qpos, state, q)))(qpos)
+        last, (seen, near, faults) = jax.lax.scan(period, state, actions)
+        begin = self.observation(state)
+        seen = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begin, seen)
         trajectory = Trajectory(
             states=seen.rope,
             actions=actions,
             faults=faults,
-            clearance=jax.vmap(lambda o: clearance(self.scene, obstacles, o))(seen),
+            clearance=jnp.append(clearance(self.scene, self.obstacles(state), begin), near),
             stretch=jax.vmap(lambda o: stretch(self.scene, state.holding, o))(seen),
         )
         return last, trajectory

@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import threading
 from collections.abc import Iterator
 from functools import partial
 
@@ -18,13 +19,14 @@ from doojax.simulation.build import build_model
 from doojax.simulation.layout import (
     Layout,
     Observation,
-    clearance,
     gripper_targets,
-    read_observation,
+    look_every,
+    read_sensors,
     stretch,
+    watch,
 )
 from doojax.simulation.scenes import Scene, obstacles_at
-from doojax.simulation.state import SimState, Start, find_faults
+from doojax.simulation.state import Fault, SimState, Start, find_faults
 from doojax.types import Obstacles, RopeState, Trajectory
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
@@ -38,13 +40,14 @@ class MujocoSimulator:
         """Compile ``scene``; ``start(key)`` draws a SimState; ``threads``: by default one per processor."""
         self.scene = scene
         self._start = jax.jit(lambda key: start(key))
-        self._model = build_model(scene)
+        self._model = build_model(scene, with_sensors=True)
         self.layout = Layout.of(scene, self._model)
         self._data = mujoco.MjData(self._model)
         threads = processors() if threads is None else threads
         self._pool = Rollout(nthread=threads)
         self._pool_data = [copy.copy(self._data) for _ in range(max(threads, 1))]
-        self._models = [copy.copy(self._model) for _ in range(BATCH)]
+        self._models = [copy.copy(self._model) for _ in range(BATCH)]  # of the scene's own rope
+        self._looks = range(0, scene.substeps, look_every(scene))
 
     def reset(self, key: Array) -> SimState:
         """A start drawn from the task's distribution."""
@@ -67,11 +70,12 @@ class MujocoSimulator:
 
     def observations(self, states: SimState) -> Observation:
         """`observation` of a batch."""
-        host, poses = jax.tree.map(np.asarray, states), []
+        host, looks, sizes = jax.tree.map(np.asarray, states), [], []
         for index in range(states.qpos.shape[0]):
-            model = self._load(0, jax.tree.map(lambda leaf, i=index: leaf[i], host))
-            poses.append(self._poses(model, np.asarray(host.qpos)[index : index + 1]))
-        return jax.tree.map(lambda leaf: leaf[:, 0], self._read(poses))
+            model = self._load(0, _element(host, index))
+            looks.append(self._look(model, host.qpos[index]))
+            sizes.append(model.geom_size[self.layout.link_geom, :2].copy())
+        return _seen(self.scene, _single(np.stack(sizes)), _single(np.stack(looks)))
 
     def obstacles(self, state: SimState) -> Obstacles:
         """The primitives of the obstacles where they are."""
@@ -93,72 +97,87 @@ class MujocoSimulator:
         self, states: SimState, actions: Float[np.ndarray, "B T G 3"]
     ) -> tuple[SimState, Trajectory]:
         batch, periods = actions.shape[:2]
-        models = [self._load(i, jax.tree.map(lambda leaf, i=i: leaf[i], states)) for i in range(batch)]
+        models = [self._load(i, _element(states, i)) for i in range(batch)]
+        now = np.zeros((batch, mujoco.mj_stateSize(self._model, STATE)))
+        now[:, 1:] = np.concatenate([states.qpos, states.qvel], axis=1)
+        commanded, looks, ends = states.commanded, [], []
+        commands = actions[..., : commanded.shape[-1]].astype(np.float64)
         nq = self._model.nq
-        history = np.zeros((batch, periods + 1, mujoco.mj_stateSize(self._model, STATE)))
-        history[:, 0, 1:] = np.concatenate([states.qpos, states.qvel], axis=1)
-        commands = np.asarray(actions, dtype=np.float64)[..., : self.layout.gripper_qpos.shape[1]]
         for period in range(periods):
-            start = history[:, period, 1 + self.layout.gripper_qpos]
-            targets = gripper_targets(self.scene, start, commands[:, period], xp=np)
+            hands = now[:, 1 + self.layout.gripper_qpos]
+            targets = gripper_targets(self.scene, hands, commanded, commands[:, period], xp=np)
+            commanded = targets[:, -1].astype(np.float32)
             with _quiet():
-                # one by one, because contacts make some elements several times as dear as others
-                steps, _ = self._pool.rollout(
-                    models, self._pool_data, history[:, period], targets, chunk_size=1
+                # one by one, because contacts make some elements several times as dear
+                steps, sensed = self._pool.rollout(
+                    models, self._pool_data, now, targets.reshape(*targets.shape[:2], -1), chunk_size=1
                 )
-            with np.errstate(over="ignore"):  # a state that blew up need not fit into single precision
-                history[:, period + 1] = steps[:, -1].astype(np.float32)  # as SimState holds it: see rollout
-        seen = self._read(
-            [self._poses(model, own[:, 1 : 1 + nq]) for model, own in zip(models, history, strict=True)]
-        )
-        measured = _measured(self.scene, states, seen)
-        physics = history[:, :, 1:].astype(np.float32)
-        qpos, qvel = physics[..., :nq], physics[..., nq:]
-        faults = _faults(qpos[:, 1:], qvel[:, 1:])
+            now[:, 1:] = _single(steps[:, -1, 1:])  # as SimState holds it: see rollout
+            looks.append(sensed[:, self._looks])
+            ends.append(now[:, 1:].astype(np.float32))
+        final = [self._look(model, own[1 : 1 + nq]) for model, own in zip(models, now, strict=True)]
+        sizes = _single(np.stack([model.geom_size[self.layout.link_geom, :2] for model in models]))
+        looked = _single(np.concatenate([*looks, np.stack(final)[:, None]], axis=1))
+        seen, measured, entered = _measured(self.scene, states, sizes, looked, periods)
+        qpos, qvel = np.split(np.stack(ends, 1), [nq], axis=-1)
+        faults = _faults(qpos, qvel, entered)
         last = eqx.tree_at(
-            lambda s: (s.qpos, s.qvel, s.faults), states, (qpos[:, -1], qvel[:, -1], faults[:, -1])
+            lambda s: (s.qpos, s.qvel, s.commanded, s.faults),
+            states,
+            (qpos[:, -1], qvel[:, -1], commanded, faults[:, -1]),
         )
-        return last, Trajectory(seen.rope, jnp.asarray(actions), faults, *measured)
+        return last, Trajectory(seen, jnp.asarray(actions), faults, *measured)
 
     def _load(self, index: int, state: SimState) -> mujoco.MjModel:
-        """The model of batch element ``index``, with what varies by element written into it."""
-        write_state(self._models[index], state)
-        return self._models[index]
+        """A model of batch element ``index``, with what varies by element written into it."""
+        # another rope gets a model of its own: what is written into the others, every call writes anew
+        model = copy.copy(self._model) if state.model_fields else self._models[index]
+        write_state(model, state)
+        return model
 
-    def _poses(self, model: mujoco.MjModel, qpos: Float[np.ndarray, "K nq"]) -> list[np.ndarray]:
-        """Geometry sizes and the poses of bodies and sites, K times each."""
-        data, poses = self._data, []
-        for own in qpos:
-            data.qpos[:] = own
-            mujoco.mj_kinematics(model, data)
-            poses.append((model.geom_size, data.xpos.copy(), data.xmat.copy(), data.site_xpos.copy()))
-        return [np.stack(values) for values in zip(*poses, strict=True)]
-
-    def _read(self, poses: list[list[np.ndarray]]) -> Observation:
-        with np.errstate(over="ignore"):  # a state that blew up need not fit into single precision
-            sizes, xpos, xmat, sites = (
-                np.stack(values, dtype=np.float32, casting="same_kind") for values in zip(*poses, strict=True)
-            )
-        xmat = xmat.reshape(*xpos.shape, 3)
-        return _observed(self.layout, sizes, xpos, xmat, sites)
+    def _look(self, model: mujoco.MjModel, qpos: Float[np.ndarray, "nq"]) -> np.ndarray:
+        """The values of the sensors at these positions."""
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, self._data)
+        mujoco.mj_sensorPos(model, self._data)
+        return self._data.sensordata.copy()
 
 
-_observed = jax.jit(read_observation, static_argnums=0)
-_faults = jax.jit(lambda qpos, qvel: find_faults(qpos, qvel).astype(jnp.int32))
+def _element(tree: SimState, index: int) -> SimState:
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def _single(values: np.ndarray) -> np.ndarray:
+    """In single precision, into which a state that blew up need not fit."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float32)
+
+
+@jax.jit
+def _faults(qpos: Array, qvel: Array, entered: Array) -> Array:
+    return find_faults(qpos, qvel) + jnp.where(entered, int(Fault.PASSED_THROUGH), 0).astype(jnp.int32)
 
 
 @partial(jax.jit, static_argnums=0)
-def _measured(scene: Scene, states: SimState, seen: Observation) -> tuple[Array, Array]:
-    """Clearance and stretch of B elements at T + 1 times."""
+def _seen(scene: Scene, sizes: Array, looks: Array) -> Observation:
+    return read_sensors(scene, sizes[..., 1], sizes[..., 0], looks)
 
-    def one(state: SimState, seen: Observation) -> tuple[Array, Array]:
+
+@partial(jax.jit, static_argnums=(0, 4))
+def _measured(
+    scene: Scene, states: SimState, sizes: Array, looks: Array, periods: int
+) -> tuple[RopeState, tuple[Array, Array], Array]:
+    """Of B elements: ropes and (clearance, stretch) at T + 1 times; did they enter an obstacle, T times?"""
+    every = (looks.shape[1] - 1) // periods
+
+    def one(state: SimState, size: Array, looks: Array) -> tuple[RopeState, tuple[Array, Array], Array]:
+        seen = read_sensors(scene, *jnp.broadcast_to(size[::-1, None], (2, len(looks))), looks)
         obstacles = obstacles_at(scene, state.obstacle_position, state.obstacle_quaternion)
-        return (
-            jax.vmap(lambda o: clearance(scene, obstacles, o))(seen),
-            jax.vmap(lambda o: stretch(scene, state.holding, o))(seen),
-        )
+        near, entered = watch(scene, obstacles, seen, periods)
+        ends = jax.tree.map(lambda leaf: leaf[::every], seen)
+        return ends.rope, (near, jax.vmap(lambda o: stretch(scene, state.holding, o))(ends)), entered
 
-    return jax.vmap(one)(states, seen)
+    return jax.vmap(one)(states, sizes, looks)
 
 
 def write_state(model: mujoco.MjModel, state: SimState) -> None:
@@ -174,12 +193,29 @@ def write_state(model: mujoco.MjModel, state: SimState) -> None:
     model.eq_active0[model.neq - len(state.holding) :] = state.holding
 
 
+_quiet_lock, _quiet_depth = threading.Lock(), 0
+
+
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep MuJoCo from writing MUJOCO_LOG.TXT: what goes wrong is reported as faults."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
+    """Keep MuJoCo from writing MUJOCO_LOG.TXT: what goes wrong is reported as faults.
+
+    The handler of warnings is the process's: it is exchanged when the first of several threads begins, and
+    put back when the last one ends.
+    """
+    global _quiet_depth, _loud
+    with _quiet_lock:
+        if _quiet_depth == 0:
+            _loud = mujoco.get_mju_user_warning()
+            mujoco.set_mju_user_warning(lambda message: None)
+        _quiet_depth += 1
     try:
         yield
     finally:
-        mujoco.set_mju_user_warning(before)
+        with _quiet_lock:
+            _quiet_depth -= 1
+            if _quiet_depth == 0:
+                mujoco.set_mju_user_warning(_loud)
+
+
+_loud = None

@@ -44,12 +44,12 @@ def warp_model(model: mujoco.MjModel) -> mjx.Model:
 def warp_data(scene: Scene, batch: int) -> mjx.Data:
     """A fresh state of one element, with room for the contacts of ``batch`` elements together.
 
-    An element's share is as many contacts as MJX keeps and as many near pairs as it tests; an element with
+    An element's share is twice as many contacts as MJX keeps, which its near pairs need, too; an element with
     more may use what others leave. Constraint rows are an element's own.
     """
     model = build_model(scene)
     settings = scene.solver
-    contacts = batch * (settings.max_contact_points + settings.max_geom_pairs)
+    contacts = 2 * batch * settings.max_contact_points
     # only cylinders meet a rope by the general convex algorithm, whose scratch space is large
     convex = any(shape.kind == ShapeKind.CYLINDER for body in scene.obstacles for shape in body.shapes)
     with jax.ensure_compile_time_eval():
