@@ -108,19 +108,36 @@ def clearance(scene: Scene, obstacles: Obstacles, seen: Observation) -> Float[Ar
 
 def watch(
     scene: Scene, obstacles: Obstacles, seen: Observation, periods: int
-) -> tuple[Float[Array, "T1"], Bool[Array, "T"]]:
+) -> tuple[Float[Array, "B T1"], Bool[Array, "B T"]]:
     """What happened between the states of T control periods, from K = T n + 1 looks at equal intervals.
+
+    Args:
+        scene: of all elements.
+        obstacles: [B, M].
+        seen: [B, K].
+        periods: T.
 
     Returns:
         `clearance` at the first look, then the least in each period (m), its end included; and whether
         something entered an obstacle in the period by more than its own radius, or went right through: a
         sample of `clearance`, moved straight from one look to the next, meets an obstacle.
     """
-    points, radii = jax.vmap(lambda one: _samples(scene, one))(seen)
-    near = jnp.min(jax.vmap(lambda p: signed_distance(obstacles, p))(points) - radii, axis=-1)
-    least = near[1:].reshape(periods, -1).min(1)
-    entered = jax.vmap(lambda p, q: enters(obstacles, p, q).any())(points[:-1], points[1:])
-    return jnp.append(near[:1], least), entered.reshape(periods, -1).any(1)
+    points, radii = jax.vmap(jax.vmap(lambda one: _samples(scene, one)))(seen)  # [B, K, P, 3], [B, K, P]
+    distance = jax.vmap(signed_distance)(obstacles, points)
+    near = jnp.min(distance - radii, axis=-1)
+    least = near[:, 1:].reshape(len(near), periods, -1).min(-1)
+    way = jnp.linalg.norm(points[:, 1:] - points[:, :-1], axis=-1)
+    # who goes to an obstacle and away again has gone at least both distances; hardly ever anybody might have
+    possible = distance[:, :-1] + distance[:, 1:] < way
+    entered = jax.lax.cond(
+        possible.any(),
+        lambda: jax.vmap(enters)(obstacles, points[:, :-1], points[:, 1:]).any(-1),
+        lambda: jnp.zeros(near[:, 1:].shape, dtype=bool),
+    )
+    return (
+        jnp.concatenate([near[:, :1], least], axis=1),
+        entered.reshape(len(near), periods, -1).any(-1),
+    )
 
 
 def look_every(scene: Scene) -> int:
@@ -168,8 +185,8 @@ def gripper_targets(scene: Scene, hand: Any, commanded: Any, action: Any, xp: An
     lead = xp.array([[gripper.lead] for gripper in scene.grippers], dtype=hand.dtype)
     start = xp.clip(commanded, hand - lead, hand + lead)
     square = (action**2).sum(-1)
-    still = square == 0  # where the square root has no derivative
-    distance = xp.maximum(xp.where(still, 1.0, square) ** 0.5, 1e-9)
+    short = square < 1e-18  # m^2; at zero the square root has no derivative
+    distance = xp.where(short, 1e-9, xp.where(short, 1.0, square) ** 0.5)
     speed = xp.array([gripper.max_speed for gripper in scene.grippers], dtype=hand.dtype)
     elapsed = xp.arange(1, scene.substeps + 1, dtype=hand.dtype) * scene.timestep
     fraction = xp.minimum(elapsed[:, None] * (speed / distance)[..., None, :], 1.0)

@@ -70,7 +70,8 @@ class MjxSimulator(eqx.Module):
             qpos, qvel, looks, dropped = for_any_batch(self, advance)(state, targets)
         else:
             qpos, qvel, looks, dropped = advance(self, state, targets)
-        (_, near), (entered,) = watch(self.scene, self.obstacles(state), looks, periods=1)
+        alone = jax.tree.map(lambda leaf: leaf[None], (self.obstacles(state), looks))
+        ((_, near),), ((entered,),) = watch(self.scene, *alone, periods=1)
         faults = (
             find_faults(qpos, qvel)
             + jnp.where(dropped, int(Fault.CONTACTS_DROPPED), 0)

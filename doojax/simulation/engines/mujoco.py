@@ -169,15 +169,12 @@ def _measured(
 ) -> tuple[RopeState, tuple[Array, Array], Array]:
     """Of B elements: ropes and (clearance, stretch) at T + 1 times; did they enter an obstacle, T times?"""
     every = (looks.shape[1] - 1) // periods
-
-    def one(state: SimState, size: Array, looks: Array) -> tuple[RopeState, tuple[Array, Array], Array]:
-        seen = read_sensors(scene, *jnp.broadcast_to(size[::-1, None], (2, len(looks))), looks)
-        obstacles = obstacles_at(scene, state.obstacle_position, state.obstacle_quaternion)
-        near, entered = watch(scene, obstacles, seen, periods)
-        ends = jax.tree.map(lambda leaf: leaf[::every], seen)
-        return ends.rope, (near, jax.vmap(lambda o: stretch(scene, state.holding, o))(ends)), entered
-
-    return jax.vmap(one)(states, sizes, looks)
+    seen = read_sensors(scene, *jnp.broadcast_to(sizes.T[::-1, :, None], (2, *looks.shape[:2])), looks)
+    obstacles = jax.vmap(partial(obstacles_at, scene))(states.obstacle_position, states.obstacle_quaternion)
+    near, entered = watch(scene, obstacles, seen, periods)
+    ends = jax.tree.map(lambda leaf: leaf[:, ::every], seen)
+    stretched = jax.vmap(lambda holding, own: jax.vmap(lambda o: stretch(scene, holding, o))(own))
+    return ends.rope, (near, stretched(states.holding, ends)), entered
 
 
 def write_state(model: mujoco.MjModel, state: SimState) -> None:
