@@ -169,7 +169,8 @@ def _measured(
 ) -> tuple[RopeState, tuple[Array, Array], Array]:
     """Of B elements: ropes and (clearance, stretch) at T + 1 times; did they enter an obstacle, T times?"""
     every = (looks.shape[1] - 1) // periods
-    seen = read_sensors(scene, *jnp.broadcast_to(sizes.T[::-1, :, None], (2, *looks.shape[:2])), looks)
+    radius, half_length = (jnp.broadcast_to(size[:, None], looks.shape[:2]) for size in sizes.T)
+    seen = read_sensors(scene, half_length, radius, looks)
     obstacles = jax.vmap(partial(obstacles_at, scene))(states.obstacle_position, states.obstacle_quaternion)
     near, entered = watch(scene, obstacles, seen, periods)
     ends = jax.tree.map(lambda leaf: leaf[:, ::every], seen)
