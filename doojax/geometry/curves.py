@@ -96,8 +96,9 @@ def catenary(
     horizontal = jnp.arcsinh(u) - jnp.arcsinh(u_start)
     vertical = along * (u + u_start) / (jnp.sqrt(1 + u**2) + jnp.sqrt(1 + u_start**2))
     direction = jnp.append(across[:2] / span, 0)
-    curve = start + a * (horizontal[:, None] * direction + vertical[:, None] * jnp.array([0.0, 0.0, 1.0]))
-    straight = start + jnp.linspace(0, 1, count)[:, None] * across
+    up = jnp.array([0.0, 0.0, 1.0])
+    curve = start[None] + a * (horizontal[:, None] * direction[None] + vertical[:, None] * up[None])
+    straight = start[None] + jnp.linspace(0, 1, count)[:, None] * across[None]
     return jnp.where(length > safe_norm(*across), curve, straight).at[-1].set(end)
 
 

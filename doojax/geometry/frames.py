@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 def rotate(quaternion: Float[Array, "*#b 4"], vector: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
     """Turn a vector from the body's axes to the world's."""
+    quaternion, vector = same_rank(quaternion, vector)
     real, imaginary = quaternion[..., :1], quaternion[..., 1:]
     twice = 2 * jnp.cross(imaginary, vector)
     return vector + real * twice + jnp.cross(imaginary, twice)
@@ -25,11 +26,12 @@ def rotate_inverse(quaternion: Float[Array, "*#b 4"], vector: Float[Array, "*#b 
 
 def quaternion_inverse(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
     """The rotation undone: the conjugate of a unit quaternion."""
-    return quaternion * jnp.array([1, -1, -1, -1], quaternion.dtype)
+    return jnp.concatenate([quaternion[..., :1], -quaternion[..., 1:]], axis=-1)
 
 
 def quaternion_multiply(left: Float[Array, "*#b 4"], right: Float[Array, "*#b 4"]) -> Float[Array, "*b 4"]:
     """The rotation that first turns by ``right``, then by ``left``."""
+    left, right = same_rank(left, right)
     real = left[..., :1] * right[..., :1] - jnp.sum(left[..., 1:] * right[..., 1:], axis=-1, keepdims=True)
     imaginary = (
         left[..., :1] * right[..., 1:]
@@ -69,6 +71,7 @@ def to_body(
     position: Float[Array, "*#b 3"], quaternion: Float[Array, "*#b 4"], points: Float[Array, "*#b 3"]
 ) -> Float[Array, "*b 3"]:
     """World points (metres) as seen from a body at ``position`` with orientation ``quaternion``."""
+    position, points = same_rank(position, points)
     return rotate_inverse(quaternion, points - position)
 
 
@@ -76,11 +79,24 @@ def to_world(
     position: Float[Array, "*#b 3"], quaternion: Float[Array, "*#b 4"], points: Float[Array, "*#b 3"]
 ) -> Float[Array, "*b 3"]:
     """Points given in a body's frame (metres), in the world: the inverse of `to_body`."""
-    return rotate(quaternion, points) + position
+    turned, position = same_rank(rotate(quaternion, points), position)
+    return turned + position
+
+
+def same_rank(*arrays: Array) -> tuple[Array, ...]:
+    """Arrays with axes of length one before their own, so that all have as many; numbers stay numbers.
+
+    That is what broadcasting does, but said: under ``jax.numpy_rank_promotion("raise")`` JAX wants it said.
+    """
+    rank = max(jnp.ndim(array) for array in arrays)
+    return tuple(
+        jnp.reshape(array, (1,) * (rank - jnp.ndim(array)) + jnp.shape(array)) if jnp.ndim(array) else array
+        for array in arrays
+    )
 
 
 def safe_norm(*components: Float[Array, "*#b"]) -> Float[Array, "*b"]:
     """Length of the vector with these components; its gradient at the zero vector is zero instead of NaN."""
-    square = functools.reduce(jnp.add, (component * component for component in components))
+    square = functools.reduce(jnp.add, (component * component for component in same_rank(*components)))
     positive = square > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)

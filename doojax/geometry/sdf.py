@@ -18,7 +18,7 @@ from jax import Array
 from jax.lax import stop_gradient
 from jaxtyping import Float, Int, Shaped
 
-from doojax.geometry.frames import quaternion_to_matrix, safe_norm
+from doojax.geometry.frames import quaternion_to_matrix, safe_norm, same_rank
 from doojax.types import Obstacles, ShapeKind
 
 FAR = 1000.0
@@ -264,10 +264,16 @@ def _distances(obstacles: Obstacles, points: Float[Array, "*#p 3"]) -> Float[Arr
     return _distance_and_gradient(_numbers(obstacles), *(points[..., axis] for axis in range(3)))[0]
 
 
+def _of_one_rank(point: tuple[Array, ...], to: _Numbers) -> tuple[tuple[Array, ...], _Numbers]:
+    leaves, structure = jax.tree.flatten((point, to))
+    return jax.tree.unflatten(structure, same_rank(*leaves))
+
+
 def _distance_and_gradient(
     to: _Numbers, *point: Float[Array, "*#p"]
 ) -> tuple[Float[Array, "*p"], Float[Array, "*p"], Float[Array, "*p"], Float[Array, "*p"]]:
     """Distance from x, y, z to the obstacle that broadcasting pairs them with, and its three derivatives."""
+    point, to = _of_one_rank(point, to)
     offset = [coordinate - centre for coordinate, centre in zip(point, to.centre, strict=True)]
     along = [sum(to.rotation[world][body] * offset[world] for world in range(3)) for body in range(3)]
     x, y, z = (jnp.abs(coordinate) for coordinate in along)

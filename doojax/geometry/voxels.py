@@ -8,10 +8,12 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
 from doojax.geometry.frames import safe_norm
+from doojax.geometry.rounding import require_digits
 from doojax.geometry.sdf import signed_distance
 from doojax.modules import Jittable
 from doojax.types import Obstacles
@@ -52,10 +54,13 @@ def grid_covering(
     """The smallest grid from the corner ``low`` that reaches at least to ``high``, metres.
 
     Raises:
-        ValueError: if the resolution is not positive or ``high`` does not exceed ``low`` along each axis.
+        ValueError: if the resolution is not positive, ``high`` does not exceed ``low`` along each axis, or
+            they are so far from the origin that they would be rounded to more than a tenth of a voxel.
     """
     if not resolution > 0:
         raise ValueError(f"resolution is {resolution}, expected a positive voxel edge in metres")
+    advice = "subtract a common origin from all coordinates before they become arrays of JAX"
+    require_digits("a grid", advice, np.array([low, high]), allowed=resolution / 10)
     # The small tolerance keeps 1.25 / 0.01 at 125 voxels where rounding makes it 125.0000001.
     x, y, z = (math.ceil((top - bottom) / resolution - 1e-6) for bottom, top in zip(low, high, strict=True))
     return Grid(jnp.array(low, float), resolution, (x, y, z))
@@ -110,7 +115,7 @@ def inverse_log_raster(
 
 def _nearest_distance(points: Float[Array, "N 3"], grid: Grid) -> Float[Array, "X Y Z"]:
     x, y, z = (
-        points[:, axis, None] - centres for axis, centres in enumerate(grid.axes())
+        points[:, axis, None] - centres[None] for axis, centres in enumerate(grid.axes())
     )  # each [N, voxels along the axis]
     distances = safe_norm(x[:, :, None, None], y[:, None, :, None], z[:, None, None, :])
     return jnp.min(distances, axis=0)

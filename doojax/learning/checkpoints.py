@@ -44,7 +44,7 @@ def save_model(path: Path, header: Header, model: PyTree) -> None:
 
 
 def load_model(path: Path | str, *, task: str | None = None, kind: str | None = None) -> tuple[Any, Header]:
-    """Read a model and its header.
+    """Read a model, in the session's precision (single, or double with ``jax_enable_x64``), and its header.
 
     Args:
         path: the file, or the folder of the run that made it.
@@ -63,6 +63,15 @@ def load_model(path: Path | str, *, task: str | None = None, kind: str | None = 
         raise ValueError(f"{path} is a model of kind {header.kind!r}, expected one of kind {kind!r}")
     if task is not None and header.task != task:
         raise ValueError(f"{path} was trained for the task {header.task!r}, not for {task!r}")
+    # Built and read in the file's precision, whatever that of the session is.
+    with jax.enable_x64(any("float64" in shape for shape in arrays.values())):
+        model = _read_as_built(path, header, arrays)
+    return jax.tree.map(
+        lambda leaf: leaf.astype(float) if eqx.is_inexact_array(leaf) else leaf, model
+    ), header
+
+
+def _read_as_built(path: Path, header: Header, arrays: dict[str, str]) -> PyTree:
     like = build(header, path)
     expected = shapes(like)
     if arrays != expected:
@@ -72,7 +81,7 @@ def load_model(path: Path | str, *, task: str | None = None, kind: str | None = 
             if arrays.get(name) != expected.get(name)
         ]
         raise ValueError(f"{path} does not fit the model that it names:\n  " + "\n  ".join(changed[:10]))
-    return read_leaves(path, like), header
+    return read_leaves(path, like)
 
 
 def read_header(path: Path) -> tuple[Header, dict[str, str]]:

@@ -63,7 +63,7 @@ class ChainConvolution(Jittable):
         parts = x @ jnp.concatenate([before, here, after]).T
         from_before = jnp.pad(parts[:-1, :width], ((1, 0), (0, 0)))
         from_after = jnp.pad(parts[1:, 2 * width :], ((0, 1), (0, 0)))
-        total = from_before + parts[:, width : 2 * width] + from_after + cast(Array, self.linear.bias)
+        total = from_before + parts[:, width : 2 * width] + from_after + cast(Array, self.linear.bias)[None]
         return x + jax.nn.relu(total)
 
 
@@ -118,10 +118,10 @@ class DistanceClassifier(CalibratedClassifier):
         frame = local_frame(state, action, self.config.origin, "canonical")
         begin, end = (chain_of(one, self.config.midpoints) for one in (state, next_state))
         moments = jnp.linspace(0.0, 1.0, self.config.moments)[:, None, None]
-        x, y, z = jnp.moveaxis(begin + moments * (end - begin), -1, 0)
+        x, y, z = jnp.moveaxis(begin[None] + moments * (end - begin)[None], -1, 0)
         distance, *gradient = signed_distance_and_gradient(obstacles, x, y, z)
         weight = jnp.exp(-jnp.maximum(distance, 0.0) / FAR)  # far away, directions mean nothing
-        away = weight * jnp.moveaxis(frame.vectors_in(jnp.stack(gradient, axis=-1)), -1, 0)
+        away = weight[None] * jnp.moveaxis(frame.vectors_in(jnp.stack(gradient, axis=-1)), -1, 0)
         seen = jnp.stack([jnp.tanh(distance / NEAR), jnp.tanh(distance / FAR), *away], axis=1)
         chain = jnp.concatenate(  # features first, as long axes are fast
             [

@@ -105,5 +105,5 @@ class FullDynamics(Jittable):
 
     def _inputs(self, state: RopeState, action: Float[Array, "G 3"]) -> Float[Array, "i"]:
         origin = local_origin(state, self.config.view.origin)
-        local = flat(state.points - origin, state.grippers - origin)
+        local = flat(state.points - origin[None], state.grippers - origin[None])
         return jnp.concatenate([local, action.reshape(-1)])

@@ -10,7 +10,7 @@ from typing import Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from doojax.geometry.frames import safe_norm
+from doojax.geometry.frames import safe_norm, same_rank
 from doojax.modules import Jittable
 from doojax.types import RopeState
 
@@ -38,7 +38,8 @@ class LocalFrame(Jittable):
 
     def points_in(self, points: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
         """Positions, world to local."""
-        return self.vectors_in(points - self.origin)
+        points, origin = same_rank(points, self.origin)
+        return self.vectors_in(points - origin)
 
     def heading(self, fold: int) -> Float[Array, "2"]:
         """Which way the frame points in the world, equal after turns by 2 pi / ``fold``."""

@@ -118,7 +118,8 @@ def gaussian_image(points: Float[Array, "N 3"], grid: Grid) -> Float[Array, "Z X
     The exponential of a sum of squares is a product of three, each of which depends on one axis only.
     """
     x, y, z = (
-        jnp.exp(-SHARPNESS * (points[:, axis, None] - along) ** 2) for axis, along in enumerate(grid.axes())
+        jnp.exp(-SHARPNESS * (points[:, axis, None] - along[None]) ** 2)
+        for axis, along in enumerate(grid.axes())
     )
     return (z[:, :, None, None] * x[:, None, :, None] * y[:, None, None, :]).max(0)
 
@@ -155,7 +156,7 @@ class Encoder(Jittable):
             count = voxels.shape[0] - self.config.kernel_up + 1
             stacked = [voxels[start : start + count] for start in range(self.config.kernel_up)]
             voxels = convolved(jnp.concatenate(stacked, axis=-1), kernel)
-            voxels = largest(jax.nn.relu(voxels + bias), self.config.pool_up)
+            voxels = largest(jax.nn.relu(voxels + bias[None, None, None]), self.config.pool_up)
         return voxels.reshape(-1)
 
 

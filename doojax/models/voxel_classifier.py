@@ -89,7 +89,7 @@ class VoxelClassifier(CalibratedClassifier):
         return jnp.concatenate(
             [
                 flat(state.points, state.grippers),
-                flat(state.points - origin, state.grippers - origin) / 0.2,
+                flat(state.points - origin[None], state.grippers - origin[None]) / 0.2,
                 action.reshape(-1) / 0.1,
                 jnp.log(uncertainty + 1e-4)[None] + 3,
             ]

@@ -22,9 +22,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from doojax.geometry.rounding import LostDigits
 from doojax.topology import grasp_loops
 from doojax.topology.grasp_loops import Grasps, Holder, loops_of, make_grasps
-from doojax.topology.linking import linking_of
+from doojax.topology.linking import Points, check_points, linking_of
 from doojax.topology.skeletons import Skeleton, make_skeleton
 
 THREADING = Path(__file__).with_name("threading.json")
@@ -39,6 +40,9 @@ class Scene(NamedTuple):
     grasps: Grasps
     skeleton: Skeleton
     holders: tuple[str, ...]  # names of the grippers, then of the attachments
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What coordinates are counted from, metres: the described base, where that is so far away, as in map
+    coordinates, that float32 would lose their digits."""
 
 
 def read_scene(file: Path | str) -> Scene:
@@ -61,11 +65,42 @@ def read_scene(file: Path | str) -> Scene:
             }
             for kind in ("gripper", "attachment")
         )
-        skeleton = make_skeleton(_named(content["skeleton"], "skeleton loop"))
-        grasps = make_grasps(content["rope"], content["base"], grippers, attachments)
+        parts = _named(content["skeleton"], "skeleton loop"), content["rope"], content["base"]
+        try:
+            return _scene(*parts, grippers, attachments)
+        except LostDigits:
+            return _counted_from_the_base(*parts, grippers, attachments)
     except ValueError as error:
         raise ValueError(f"{file} does not describe a scene: {error}") from error
+
+
+def _scene(
+    loops: Mapping[str, Points],
+    rope: Points,
+    base: Points,
+    grippers: Mapping[str, Holder],
+    attachments: Mapping[str, Holder],
+) -> Scene:
+    skeleton, grasps = make_skeleton(loops), make_grasps(rope, base, grippers, attachments)
     return Scene(grasps, skeleton, (*grippers, *attachments))
+
+
+def _counted_from_the_base(
+    loops: Mapping[str, Points], rope: Points, base: Points, *holders: Mapping[str, Holder]
+) -> Scene:
+    """The scene, from which the base was subtracted while all was in double precision."""
+    (origin,) = check_points(np.asarray(base)[None], "the base")
+
+    def near(points: Points, name: str) -> Points:
+        return check_points(points, name) - origin
+
+    near_loops = {name: near(loop, f"skeleton loop {name!r}") for name, loop in loops.items()}
+    near_holders = (
+        {name: item._replace(path=near(item.path, f"the path of {name!r}")) for name, item in group.items()}
+        for group in holders
+    )
+    scene = _scene(near_loops, near(rope, "the rope"), np.zeros(3), *near_holders)
+    return scene._replace(origin=tuple(origin.tolist()))
 
 
 def signature(file: Path, /, *, keep_empty: bool = False) -> None:

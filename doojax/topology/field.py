@@ -29,7 +29,7 @@ def magnetic_field(loop: Float[Array, "P 3"], point: Float[Array, "3"]) -> Float
         the field, 1/metres. It grows without bound towards the loop; of a segment that the point lies on,
         only the rest counts.
     """
-    to_points = loop - point
+    to_points = loop - point[None]
     contribution = jax.vmap(_segment)(to_points[:-1], to_points[1:])
     return jnp.sum(contribution, axis=0) / (4 * jnp.pi)
 

@@ -21,6 +21,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from doojax.geometry.rounding import require_digits
 from doojax.topology.linking import Grid, Points, check_points, crossings, is_closed
 from doojax.topology.signatures import Signature, canonical
 from doojax.topology.skeletons import Skeleton
@@ -81,7 +82,8 @@ def make_grasps(
 
     Raises:
         ValueError: naming the item: it is not finite or of a wrong shape, two points of the rope in a row are
-            the same, a location is outside [0, 1], or there are more holders than there is room for.
+            the same, a location is outside [0, 1], there are more holders than there is room for, or all is
+            so far from the origin that float32 would lose its digits.
     """
     points, origin = check_points(rope, "the rope"), check_points(np.asarray(base)[None], "the base")[0]
     if len(points) < 2:
@@ -93,6 +95,16 @@ def make_grasps(
         *_padded(origin, grippers, max_grippers, "gripper"),
         *_padded(origin, attachments or {}, max_attachments, "attachment"),
     ]
+    paths = [
+        np.reshape(holder.path, (-1, 3)) for holder in (*grippers.values(), *(attachments or {}).values())
+    ]
+    require_digits(
+        "the rope, the base and the paths",
+        "subtract a common origin, such as the base, from them and from the skeleton, in numpy.float64",
+        points,
+        origin,
+        *paths,
+    )
     return Grasps(*map(jnp.asarray, [points, origin, *fields]))
 
 
@@ -161,7 +173,7 @@ def signature(grasps: Grasps, skeleton: Skeleton, *, remove_empty: bool = True) 
     up, along, down = per_loop(numbers, jnp.sum)
     linked = jnp.abs(up + along - down).T
     nearest = functools.reduce(jnp.minimum, per_loop(squares, jnp.min))
-    counted = parts.is_loop & skeleton.active[:, None]
+    counted = parts.is_loop[None] & skeleton.active[:, None]
     sound = jnp.all(jax.vmap(is_closed)(obstacles))
     margin, touching = grid.margin(jnp.min(nearest, where=counted, initial=jnp.inf), sound)
 
@@ -212,7 +224,8 @@ def _parts(grasps: Grasps) -> _Parts:
 
     # Points of the rope beyond a loop's part of it become that part's ends: repeated points do no harm.
     knots = _knots(grasps.rope)
-    rope = jnp.where((knots > ends[:-1, None])[..., None], grasps.rope, held_ends[:-1, None])
+    knots = knots[None]
+    rope = jnp.where((knots > ends[:-1, None])[..., None], grasps.rope[None], held_ends[:-1, None])
     rope = jnp.where((knots < ends[1:, None])[..., None], rope, held_ends[1:, None])
 
     def tether(path, is_active, end):

@@ -13,7 +13,9 @@ snapped to a cubic grid, 2**20 cells along the longest side of their bounding bo
 segment, y is rounded to a whole cell, in the same way for all pairs of segments that share the place
 (`_crossing`). So the polygons stay closed, and their sides match, whatever the rounding; it only moves them,
 by less than five cells. The number is proven when the curves stay ten cells apart, which is `TOUCHING`;
-closer ones are reported.
+closer ones are reported. So are those that are no farther apart than their coordinates may have been rounded:
+float32 is fine near the origin, but of map coordinates it keeps half a metre. `linking_number` subtracts the
+middle of what it is given in double precision; subtract before you make arrays of JAX.
 """
 
 import functools
@@ -27,6 +29,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from doojax.geometry.rounding import rounding
 from doojax.modules import Jittable
 
 Points = np.ndarray | Array | Sequence[Any]
@@ -36,6 +39,9 @@ TOUCHING = 1e-5
 """Curves closer than this fraction of the longest side of their bounding box are reported as touching."""
 
 _CELLS = 2.0**20
+_APART = (
+    3**0.5
+)  # each coordinate of either point moves by half of the distance between floating-point numbers
 _LANES = 16  # XLA's loops on a CPU handle what is left over from a multiple of this one by one
 
 
@@ -44,7 +50,9 @@ class Linking(eqx.Module):
 
     number: Int[Array, "*b"]  # signed linking number; reversing one of the loops flips its sign
     margin: Float[Array, "*b"]  # least distance between the curves, metres, to 2e-6 of their bounding box
-    touching: Bool[Array, "*b"]  # the margin is not above `TOUCHING` of the bounding box: the number is void
+    touching: Bool[Array, "*b"]
+    """The number is void: the margin is not above `TOUCHING` of the bounding box, or not above what the
+    coordinates may have been rounded by, far from the origin."""
 
 
 class Grid(Jittable):
@@ -52,12 +60,14 @@ class Grid(Jittable):
 
     corner: Float[Array, "3"]
     size: Float[Array, ""]  # longest side of the bounding box, metres
+    rounding: Float[Array, ""]  # by so much may two points have come nearer when they were rounded, metres
 
     @staticmethod
     def over(points: Float[Array, "3 P"]) -> "Grid":
         """The grid over the bounding box of points. One row per axis, here and below, vectorises best."""
-        low = jnp.min(points, axis=1)
-        return Grid(low, jnp.max(jnp.max(points, axis=1) - low))
+        low, high = jnp.min(points, axis=1), jnp.max(points, axis=1)
+        largest = jnp.maximum(jnp.max(jnp.abs(low)), jnp.max(jnp.abs(high)))
+        return Grid(low, jnp.max(high - low), _APART * jnp.finfo(points.dtype).eps * largest)
 
     def snap(self, points: Float[Array, "3 P"]) -> Float[Array, "3 P"]:
         """Coordinates in cells: whole numbers, as float32."""
@@ -69,7 +79,8 @@ class Grid(Jittable):
         """Margin and `touching` from a squared distance in cells; NaN if the input is not sound."""
         sound = sound & (self.size > 0) & jnp.isfinite(self.size)
         cells = jnp.where(sound, jnp.sqrt(square), jnp.nan)
-        return cells * (self.size / _CELLS), ~(cells > TOUCHING * _CELLS)
+        metres = cells * (self.size / _CELLS)
+        return metres, ~((cells > TOUCHING * _CELLS) & (metres > self.rounding))
 
 
 def linking_of(first: Float[Array, "P 3"], second: Float[Array, "Q 3"]) -> Linking:
@@ -95,15 +106,27 @@ def linking_of(first: Float[Array, "P 3"], second: Float[Array, "Q 3"]) -> Linki
 def linking_number(first: Points, second: Points) -> int:
     """Signed linking number of two loops, for use outside of jit: `linking_of` with every input checked.
 
+    Loops in double precision may be anywhere, such as in map coordinates.
+
     Raises:
-        ValueError: a curve is not a loop (see `check_loop`), or the two touch.
+        ValueError: a curve is not a loop (see `check_loop`), or the two touch, or they are given in single
+            precision, too far from the origin to tell.
     """
     loops = check_loop(first, "the first loop"), check_loop(second, "the second loop")
-    result = jax.jit(linking_of)(*map(jnp.asarray, loops))
+    both = np.concatenate(loops)
+    middle = (both.min(axis=0) + both.max(axis=0)) / 2
+    result = jax.jit(linking_of)(*(jnp.asarray(loop - middle) for loop in loops))
     if result.touching:
         raise ValueError(
             f"the loops touch: their least distance is {float(result.margin):.3g}, below {TOUCHING:g} of "
             "their bounding box, so that their linking number is not defined; move them apart"
+        )
+    lost = _APART * max(rounding(loop, own=True) for loop in map(np.asarray, (first, second)))
+    if not result.margin > lost:
+        raise ValueError(
+            f"the loops are {float(result.margin):.3g} m apart, but single precision rounds coordinates of "
+            f"up to {np.abs(both).max():.9g} m by as much: give them in double precision (numpy.float64), "
+            "or subtract a common origin before they are rounded"
         )
     return int(result.number)
 

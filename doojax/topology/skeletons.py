@@ -23,6 +23,8 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from doojax.geometry import Grid, fill_mesh_grid, grid_covering, occupancy, quaternion_to_matrix
+from doojax.geometry.mesh_parts import check_is_mesh
+from doojax.geometry.rounding import require_digits, rounding
 from doojax.topology.linking import Points, check_loop
 from doojax.topology.thinning import handle_loops
 from doojax.types import Obstacles, ShapeKind
@@ -48,9 +50,17 @@ def make_skeleton(loops: Mapping[str, Points]) -> Skeleton:
     """A skeleton from named loops, each [points, 3] in metres with its first point repeated at its end.
 
     Raises:
-        ValueError: naming the loop: it is open, has fewer than three points, repeats one, or is not finite.
+        ValueError: naming the loop: it is open, has fewer than three points, repeats one, is not finite, or
+            is so far from the origin that float32 would lose its digits.
     """
     checked = [check_loop(points, f"skeleton loop {name!r}") for name, points in loops.items()]
+    for name, loop in zip(loops, checked, strict=True):
+        require_digits(
+            f"skeleton loop {name!r}",
+            "subtract a common origin, such as the robot's base, from all loops and from the rope, the base "
+            "and the paths, in numpy.float64",
+            loop,
+        )
     longest = max(map(len, checked), default=4)
     padded = [np.pad(loop, ((0, longest - len(loop)), (0, 0)), mode="edge") for loop in checked]
     points = np.reshape(padded, (len(checked), longest, 3))
@@ -81,7 +91,8 @@ def obstacle_skeleton(obstacles: Obstacles, resolution: float) -> Skeleton:
         resolution: edge of a voxel, metres; at most a third of the narrowest hole.
 
     Raises:
-        ValueError: no obstacle is active, or the grid would exceed five million voxels.
+        ValueError: no obstacle is active, the grid would exceed five million voxels, or the obstacles are so
+            far from the origin that their coordinates are rounded to more than a tenth of a voxel.
     """
     active = np.asarray(obstacles.active)
     if not active.any():
@@ -90,6 +101,13 @@ def obstacle_skeleton(obstacles: Obstacles, resolution: float) -> Skeleton:
     round_ends = np.where(obstacles.kind == ShapeKind.CAPSULE, obstacles.half_size[:, 0], 0)
     reach = (extent[..., 0] + round_ends[:, None])[active] + resolution
     centre = np.asarray(obstacles.centre)[active]
+    lost = rounding(centre, own=True)
+    if lost > resolution / 10:
+        raise ValueError(
+            f"the obstacles' centres, up to {np.abs(centre).max():.9g} m from the origin, are rounded to "
+            f"{lost:.1g} m in {centre.dtype}, too coarse for voxels of {resolution} m: subtract a common "
+            "origin in numpy.float64 before the obstacles are made"
+        )
     low, high = (centre - reach).min(axis=0), (centre + reach).max(axis=0)
     grid = grid_covering(tuple(low.tolist()), tuple(high.tolist()), resolution)
     if math.prod(grid.shape) > _MOST_VOXELS:
@@ -117,11 +135,20 @@ def mesh_skeleton(mesh: Trimesh, resolution: float) -> Skeleton:
         resolution: edge of a voxel, metres; at most a third of the narrowest hole.
 
     Raises:
-        ValueError: as `fill_mesh_grid` does, for a mesh that is not closed, or too fine a grid.
+        ValueError: as `fill_mesh_grid` does, for a mesh that is not closed, or too fine a grid; or the mesh
+            is so far from the origin that float32 would lose the digits of its loops.
     """
+    check_is_mesh(mesh)
+    require_digits(
+        "the mesh",
+        "move it with mesh.apply_translation(-mesh.centroid), and subtract the same from all else that is to "
+        "be compared with its loops",
+        mesh.bounds,
+    )
     grid = fill_mesh_grid(mesh, spacing=resolution, padding=2 * resolution)
     solid = np.asarray(grid.values) <= _HALF_DIAGONAL * resolution
-    return _skeleton_of(solid, np.asarray(grid.origin), resolution)
+    first_centre = np.asarray(grid.origin, np.float64) + np.asarray(grid.remainder, np.float64)
+    return _skeleton_of(solid, first_centre, resolution)
 
 
 def _skeleton_of(
