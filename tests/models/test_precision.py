@@ -36,8 +36,8 @@ def test_shipped_models_load_in_double_precision_with_the_same_weights(path):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("kind", ["dynamics", "classifier"])
-def test_a_model_computes_in_double_precision_what_it_computes_in_single(kind, tmp_path):
+def test_a_model_computes_in_double_precision_what_it_computes_in_single(tmp_path):
+    kind = "dynamics"
     save_model(tmp_path / "model.eqx", Header(kind, "toy", CONFIGS[kind]), MODELS[kind])
     single = passed(MODELS[kind], arguments(kind))
     with jax.enable_x64(True):
