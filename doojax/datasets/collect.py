@@ -1,6 +1,9 @@
 """Collect random trajectories of a task: `doojax collect`."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -37,7 +40,8 @@ def collect(
     """Collect random trajectories of a task into a data set.
 
     Runs on from where it was killed, to the same bytes. Trajectory i depends on the task, its scene, phase,
-    states, engine, seed and i alone: a longer collection begins with the same trajectories.
+    states, engine, seed and i alone: a longer collection begins with the same trajectories. That is bit for
+    bit on MuJoCo C, and but for rounding where XLA simulates, which it does otherwise in another batch.
 
     Args:
         task: rope_dragging or dual_gripper.
@@ -110,17 +114,26 @@ def random_trajectories(
 ) -> tuple[SimState, SimState, Trajectory]:
     """One trajectory of random actions for each of B ``keys``: first and last states, and what was seen."""
     start_keys, action_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
-    start = state = _starts(simulator, start_keys)
+    start = state = _in_shards(partial(_starts, simulator), start_keys)
     rope = simulator.observations(state).rope
     action = jnp.zeros((keys.shape[0], task.grippers, 3))
     parts = []
     for period in range(periods):
-        action = _actions(task, phase, action_keys, jnp.asarray(period), rope, action)
+        draw = partial(_actions, task, phase, jnp.asarray(period))
+        action = _in_shards(draw, action_keys, rope, action)
         action = jnp.where(jnp.isfinite(action), action, 0.0)  # of a rope that blew up: its fault says so
         state, part = simulator.rollout(state, action[:, None])
         rope = jax.tree.map(lambda leaf: leaf[:, -1], part.states)
         parts.append(part)
     return start, state, joined(parts)
+
+
+def _in_shards(function: Callable[..., Any], *batch: Any) -> Any:
+    """``function(*batch)``, whose batch is filled up to whole shards: XLA rounds small batches otherwise."""
+    count = len(jax.tree.leaves(batch)[0])
+    filled = np.resize(np.arange(count), -(-count // SHARD_SIZE) * SHARD_SIZE)
+    out = function(*jax.tree.map(lambda leaf: leaf[filled], batch))
+    return jax.tree.map(lambda leaf: leaf[:count], out)
 
 
 @eqx.filter_jit
@@ -130,7 +143,7 @@ def _starts(simulator: Simulator, keys: Array) -> SimState:
 
 @eqx.filter_jit
 def _actions(
-    task: Task, phase: Phase, keys: Array, period: Int[Array, ""], ropes: RopeState, previous: Array
+    task: Task, phase: Phase, period: Int[Array, ""], keys: Array, ropes: RopeState, previous: Array
 ) -> Float[Array, "B G 3"]:
     def one(key, rope, before):
         return task.sample_action(jax.random.fold_in(key, period), rope, before, phase)

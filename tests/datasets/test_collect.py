@@ -67,6 +67,14 @@ def test_a_longer_collection_begins_with_the_same_trajectories(tmp_path):
     np.testing.assert_allclose(few["points"][:], many["points"][:5], atol=1e-6)
 
 
+def test_a_trajectory_does_not_know_what_is_simulated_beside_it(tmp_path):
+    collect("rope_dragging", trajectories=3, states=3, out=tmp_path / "three")
+    collect("rope_dragging", trajectories=66, states=3, out=tmp_path / "more")
+    few, many = Dataset.open(tmp_path / "three"), Dataset.open(tmp_path / "more")
+    for name in few.fields:
+        assert np.array_equal(few[name][:], many[name][:3]), name
+
+
 def test_failures_are_saved_and_replayed(tmp_path, capsys):
     task = make_task("rope_dragging")
     simulator = task.simulator("mujoco", "unconstrained")
