@@ -43,7 +43,7 @@ VARIABLE_FIELDS = (
 )
 
 LEAST_FRICTION = 1e-5  # MuJoCo's own; warp wants it said
-HOLD_IMPEDANCE = (0.99, 0.999, 0.001, 0.5, 2.0)
+HOLD_IMPEDANCE = (0.999, 0.9999, 0.001, 0.5, 2.0)
 CONTACT_IMPEDANCE = (0.95, 0.99, 0.001, 0.5, 2.0)
 
 
