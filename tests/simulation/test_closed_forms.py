@@ -112,7 +112,7 @@ def test_a_sliding_rope_stops_as_coulomb_says(friction):
     slid = np.linalg.norm(seen.states.points[:, -1, 0] - seen.states.points[:, 0, 0], axis=-1)
     by_coulomb = 0.8**2 / (2 * friction * 9.81)
     assert slid.mean() == pytest.approx(by_coulomb, rel=0.03)
-    assert np.abs(slid / by_coulomb - 1).max() < 0.1  # the friction is a hexagon, not a circle
+    assert np.abs(slid / by_coulomb - 1).max() < 0.1  # the friction is an octagon, not a circle
 
 
 @pytest.mark.parametrize("self_contact", [True, False])
