@@ -44,6 +44,7 @@ VARIABLE_FIELDS = (
 
 LEAST_FRICTION = 1e-5  # MuJoCo's own; warp wants it said
 HOLD_IMPEDANCE = (0.999, 0.9999, 0.001, 0.5, 2.0)
+FRICTION_OVER_NORMAL = 3.0  # how much harder friction is than a contact: at 1 a held rope creeps
 CONTACT_IMPEDANCE = (0.95, 0.99, 0.001, 0.5, 2.0)
 
 
@@ -128,6 +129,8 @@ def _set_options(spec: mujoco.MjSpec, scene: Scene) -> None:
     option.solver = algorithms[solver.algorithm]
     cones = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
     option.cone = cones[solver.cone]
+    if solver.cone == "elliptic":
+        option.impratio = FRICTION_OVER_NORMAL
     option.iterations, option.tolerance = solver.iterations, solver.tolerance
     option.ls_iterations = solver.line_search_iterations
     # a state that blows up must stay visible: MuJoCo would put the rope back to its start
