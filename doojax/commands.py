@@ -26,6 +26,10 @@ BENCHMARKS: Commands = {
     "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
     "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
     "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
+    "cosserat": (
+        "doojax.benchmarks.cosserat:cosserat",
+        "errors and times in the package cosseratbench, beside its MuJoCo adapter",
+    ),
     "training": (
         "doojax.benchmarks.training:training",
         "train steps per second with 1 and 8 members, and in flax",

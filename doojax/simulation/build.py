@@ -163,8 +163,8 @@ def _geom_of(shape: Shape) -> tuple[mujoco.mjtGeom, list[float], list[float]]:
         return mujoco.mjtGeom.mjGEOM_PLANE, [z, y, 0.1], face
     kinds = {
         ShapeKind.BOX: (mujoco.mjtGeom.mjGEOM_BOX, [x, y, z]),
-        ShapeKind.CAPSULE: (mujoco.mjtGeom.mjGEOM_CAPSULE, [x, z, 0]),
-        ShapeKind.CYLINDER: (mujoco.mjtGeom.mjGEOM_CYLINDER, [x, z, 0]),
+        ShapeKind.CAPSULE: (mujoco.mjtGeom.mjGEOM_CAPSULE, [x, z, 0.0]),
+        ShapeKind.CYLINDER: (mujoco.mjtGeom.mjGEOM_CYLINDER, [x, z, 0.0]),
     }
     kind, size = kinds[shape.kind]
     return kind, size, list(shape.offset)
