@@ -16,6 +16,9 @@ from rich.table import Table
 import doojax
 from doojax.commands import COMMANDS, Commands, load
 
+# What comes with an extra of doojax only -> the extra.
+EXTRAS = {"flax": "bench", "h_signature": "bench", "ompl": "bench", "playwright": "dev", "warp": "warp"}
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status: 0, 2 for bad input, 130 when interrupted.
@@ -94,6 +97,8 @@ def unknown(name: str, commands: Commands, program: str) -> str:
 
 def explain(error: Exception) -> str:
     """An error's message in words that need no knowledge of Python."""
+    if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] in EXTRAS:
+        return f"{error}: pip install 'doojax[{EXTRAS[error.name.split('.')[0]]}]'"
     if isinstance(error, OSError) and error.filename and error.strerror:
         return f"{error.filename}: {error.strerror}"
     return str(error) or type(error).__name__

@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -122,6 +124,10 @@ def test_an_unknown_option_is_an_error(with_command, capsys):
         (FileNotFoundError(2, "No such file or directory", "data/x"), "data/x: No such file or directory"),
         (FileExistsError("data/x holds another data set"), "data/x holds another data set"),
         (ModuleNotFoundError("No module named 'warp'"), "No module named 'warp'"),
+        (
+            ModuleNotFoundError("No module named 'ompl'", name="ompl"),
+            "No module named 'ompl': pip install 'doojax[bench]'",
+        ),
         (OSError(), "OSError"),
     ],
 )
@@ -133,6 +139,13 @@ def test_bad_input_gives_one_line_and_traceback_the_error_itself(with_command, c
     assert captured.out == ""
     with pytest.raises(type(error)):
         cli.main(["try", "--count", "2", "--traceback"])
+
+
+def test_every_extra_that_is_named_exists_and_brings_the_package():
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    for module, extra in cli.EXTRAS.items():
+        packages = " ".join(project["optional-dependencies"][extra])
+        assert module.replace("_", "-") in packages, f"{module} comes with another extra than {extra}"
 
 
 def test_a_defect_of_ours_is_not_dressed_up_as_bad_input(with_command):

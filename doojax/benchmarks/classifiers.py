@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array
 
 from doojax.benchmarks.medians import median_row
+from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.keys import stream
@@ -69,7 +70,7 @@ def classifiers(
     """
     command = command_line(classifiers, locals())
     rows: list[Row] = []
-    for task in map(make_task, tasks):
+    for task in stages("classifiers", [(name, make_task(name)) for name in tasks]):
         examples = drawn(task, max(KINDS["classifier"][2]), key=stream(SEED, "bench", "classifiers"))
         rows += rows_of(task.name, take_turns(runs_of(task, *examples)))
     publish_rows(publish, command=command, seed=SEED, rows=rows)

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 from rich.console import Console
 from rich.table import Table
 
+from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.experiments.methods import find_models, make_method, needed_models, pretrained_models
 from doojax.experiments.provenance import digests
@@ -100,7 +101,7 @@ def planner(
             default they are only shown.
 
     Raises:
-        ModuleNotFoundError: OMPL is not installed; `pip install ompl` does that.
+        ModuleNotFoundError: OMPL is not installed; `pip install 'doojax[bench]'` does that.
         ValueError: for an unknown name, or models that are missing or of another task.
     """
     command = command_line(planner, locals())
@@ -115,9 +116,12 @@ def planner(
         ours = Rrt(chosen.dynamics, chosen.reliability, the_task)
     problems = problems_of(the_task, scenes)
     ompl = Ompl(ours)
-    results = take_turns(ours, ompl, problems)
-    together = side_by_side(ours, ompl, problems)
-    samplers = compare_samplers(ours, problems)
+    parts: list[tuple[str, Callable[[], Any]]] = [
+        ("one scene after another", lambda: take_turns(ours, ompl, problems)),
+        ("all scenes at once", lambda: side_by_side(ours, ompl, problems)),
+        ("samplers", lambda: compare_samplers(ours, problems)),
+    ]
+    results, together, samplers = [run() for run in stages(f"{task}, {scenes} scenes", parts)]
     rows = rate_rows(results, task=task) + solution_rows(task, results)
     rows += rate_rows(together, task=task, all_scenes=scenes) + sampler_rows(task, samplers)
     publish_rows(publish, command=command, seed=SEED, rows=rows, inputs=digests(used))

@@ -16,8 +16,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
 
+from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.datasets.collect import random_trajectories
 from doojax.experiments.reports import publish_rows, row, show
@@ -45,7 +45,7 @@ def rollouts(
     json: bool = False,
     publish: Path | None = None,
 ) -> None:
-    """Measure physics steps and transitions per second of every engine.
+    """Measure physics steps and transitions per second of every engine: minutes on two cores, most for MJX.
 
     The engines take turns. Warp runs on a CPU for the smallest batch only: there it is made for testing.
 
@@ -66,24 +66,28 @@ def rollouts(
     engines = tuple(map(resolve_engine, engines or available_engines()))
     if min(batches, default=0) < 1:
         raise ValueError(f"batches are {batches}, expected one or more numbers of at least 1")
-    console, rows, compile_s = Console(stderr=True), [], {}
-    for contact in (False, True):
-        console.print(f"{task}: states {'in contact' if contact else 'in free motion'}")
-        states, actions = sampled_states(the_task, contact, max(batches))
-        for batch in batches:
-            part = jax.tree.map(lambda leaf, b=batch: leaf[:b], (states, actions))
-            rates = measure(the_task, engines, *part, slow_engines=batch == min(batches), compiled=compile_s)
-            tags = {"task": task, "batch": batch, "contact": contact}
-            for engine, samples in rates.items():
-                best, worst = max(samples), min(samples)
-                per = the_task.scene.substeps
-                own = tags | {"engine": engine}
-                rows.append(row("steps_per_s", own, best, "1/s", worst, best, len(samples)))
-                rows.append(row("transitions_per_s", own, best / per, "1/s", worst / per, best / per))
-            if "mjx" in rates:
-                rows.append(row("mjx_over_mujoco", tags, max(rates["mjx"]) / max(rates[BARE]), ""))
-            if "mujoco" in rates:
-                rows.append(row("bare_over_mujoco", tags, max(rates[BARE]) / max(rates["mujoco"]), ""))
+    rows, compile_s, sampled = [], {}, {}
+    parts = [
+        (f"{batch} states {'in contact' if contact else 'in free motion'}", (contact, batch))
+        for contact in (False, True)
+        for batch in batches
+    ]
+    for contact, batch in stages(f"{task} on {', '.join(engines)}", parts):
+        if contact not in sampled:
+            sampled[contact] = sampled_states(the_task, contact, max(batches))
+        part = jax.tree.map(lambda leaf, b=batch: leaf[:b], sampled[contact])
+        rates = measure(the_task, engines, *part, slow_engines=batch == min(batches), compiled=compile_s)
+        tags = {"task": task, "batch": batch, "contact": contact}
+        for engine, samples in rates.items():
+            best, worst = max(samples), min(samples)
+            per = the_task.scene.substeps
+            own = tags | {"engine": engine}
+            rows.append(row("steps_per_s", own, best, "1/s", worst, best, len(samples)))
+            rows.append(row("transitions_per_s", own, best / per, "1/s", worst / per, best / per))
+        if "mjx" in rates:
+            rows.append(row("mjx_over_mujoco", tags, max(rates["mjx"]) / max(rates[BARE]), ""))
+        if "mujoco" in rates:
+            rows.append(row("bare_over_mujoco", tags, max(rates[BARE]) / max(rates["mujoco"]), ""))
     rows += [row("compile_s", {"task": task, "engine": e}, s, "s") for e, s in compile_s.items()]
     publish_rows(publish, command=command, seed=SEED, rows=rows)
     show(rows, json)

@@ -28,6 +28,7 @@ from rich.table import Table
 
 from doojax import topology
 from doojax.benchmarks.medians import median_with_interval
+from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.experiments.reports import Row, publish_rows, row
 from doojax.keys import stream
@@ -52,10 +53,11 @@ def signature(*, json: bool = False, publish: Path | None = None) -> None:
             default they are only shown.
 
     Raises:
-        ModuleNotFoundError: the package is not installed; `pip install h-signature` does that.
+        ModuleNotFoundError: the package is not installed; `pip install 'doojax[bench]'` does that.
     """
     command = command_line(signature, locals())
-    rows = [one for name, scene in scenes().items() for one in measure(name, scene)]
+    variants = [(name, (name, scene)) for name, scene in scenes().items()]
+    rows = [one for name, scene in stages("signatures", variants) for one in measure(name, scene)]
     publish_rows(publish, command=command, seed=SEED, rows=rows)
     if json:
         print(json_format.dumps([asdict(row) for row in rows], indent=1))

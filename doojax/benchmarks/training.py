@@ -18,6 +18,7 @@ import optax
 from jaxtyping import Array
 
 from doojax.benchmarks.medians import median_row
+from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.experiments.reports import Row, publish_rows, show
 from doojax.keys import stream
@@ -51,12 +52,13 @@ def training(*, task: str = "rope_dragging", json: bool = False, publish: Path |
             default they are only shown.
 
     Raises:
-        ModuleNotFoundError: flax is not installed; `pip install flax` does that.
+        ModuleNotFoundError: flax is not installed; `pip install 'doojax[bench]'` does that.
         ValueError: for an unknown task.
     """
     command = command_line(training, locals())
     the_task = make_task(task)
-    rows = [one for preset in get_args(PresetName) for one in measure(the_task, preset)]
+    presets = [(preset, preset) for preset in get_args(PresetName)]
+    rows = [one for preset in stages(f"{task}, preset", presets) for one in measure(the_task, preset)]
     publish_rows(publish, command=command, seed=SEED, rows=rows)
     show(rows, json)
 

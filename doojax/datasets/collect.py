@@ -21,6 +21,7 @@ from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Phase, Task, check_phase
+from doojax.tasks.ropes import OWN, OtherRope, with_rope
 from doojax.types import Obstacles, RopeState, Trajectory
 
 SHARD_SIZE = 64
@@ -35,6 +36,7 @@ def collect(
     states: int | None = None,
     engine: str = "auto",
     seed: int = 0,
+    rope: OtherRope = OWN,
     out: Path,
 ) -> None:
     """Collect random trajectories of a task into a data set.
@@ -50,12 +52,13 @@ def collect(
         states: per trajectory, one more than actions; the thesis's number by default.
         engine: auto, mujoco, mjx or warp.
         seed: of everything that is random.
+        rope: what of the rope differs from the task's own.
         out: the data set's folder; new, empty, or the same collection unfinished.
 
     Raises:
         ValueError: for an unknown task or engine, counts too small, or a folder that holds other data.
     """
-    the_task = make_task(task)
+    the_task = with_rope(make_task(task), rope)
     check_phase(phase)
     states = the_task.trajectory_states[phase] if states is None else states
     if trajectories < 1:
@@ -70,6 +73,7 @@ def collect(
         "states": states,
         "engine": engine,
         "seed": seed,
+        **({"rope": rope.given} if rope.given else {}),
     }
     writer = DatasetWriter.open(
         out, config=config, schema=schema(the_task, states - 1), n=trajectories, shard_size=SHARD_SIZE
@@ -106,6 +110,7 @@ def command_of(manifest: Manifest, out: Path) -> str | None:
     if not set(given) <= set(manifest.config):
         return None
     arguments = {name: manifest.config[name] for name in given}
+    arguments["rope"] = OtherRope(**manifest.config.get("rope", {}))
     return command_line(collect, {**arguments, "trajectories": manifest.trajectories, "out": out})
 
 

@@ -14,8 +14,10 @@ from doojax.datasets.store import Dataset
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
+from doojax.tasks.ropes import task_of
 from doojax.types import Trajectory
 
+MODEL = "model/"  # before the names of model fields, which carry another rope
 _STATE_FIELDS = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
 
 
@@ -27,21 +29,17 @@ def save_failures(
     Args:
         path: the .npz file to write.
         task: the name of the task whose scene was simulated.
-        starts: the states that the rollout began with; only for the scene's own rope.
+        starts: the states that the rollout began with.
         actions: m.
         trajectory: what the rollout returned.
 
     Returns:
         how many were saved; no file is written for none.
-
-    Raises:
-        ValueError: if rope parameters differ by element: they are not kept.
     """
-    if starts.model_fields:
-        raise ValueError("starts have model_fields: only elements with the scene's own rope can be saved")
     failed = np.flatnonzero(np.any(np.asarray(trajectory.faults) != 0, axis=1))
     if failed.size:
         arrays = {name: np.asarray(getattr(starts, name))[failed] for name in _STATE_FIELDS}
+        arrays |= {MODEL + name: np.asarray(values)[failed] for name, values in starts.model_fields.items()}
         arrays["actions"] = np.asarray(actions)[failed]
         arrays["points"] = np.asarray(trajectory.states.points)[failed]
         arrays["faults"] = np.asarray(trajectory.faults)[failed]
@@ -66,18 +64,20 @@ def replay(path: Path, /, *, trajectory: int = 0, engine: str = "auto") -> None:
     console = Console()
     if path.is_dir():
         dataset = Dataset.open(path)
-        task, made_with, state, actions, points, faults = _from_dataset(dataset, trajectory)
+        made_with, state, actions, points, faults = _from_dataset(dataset, trajectory)
+        task = task_of(dataset.config)
         scene = dataset.config.get("scene")
         if scene is None:
             console.print(
-                f"[yellow]of which scene of {task} these are is not recorded: it may differ[/yellow]"
+                f"[yellow]of which scene of {task.name} these are is not recorded: it may differ[/yellow]"
             )
-        elif scene != make_task(task).scene.digest:
-            console.print(f"[yellow]the scene of {task} has changed since these were collected[/yellow]")
+        elif scene != task.scene.digest:
+            console.print(f"[yellow]the scene of {task.name} has changed since these were collected[/yellow]")
     else:
-        task, made_with, state, actions, points, faults = _from_failures(path, trajectory)
+        name, made_with, state, actions, points, faults = _from_failures(path, trajectory)
+        task = make_task(name)
     engine = resolve_engine(made_with if engine == "auto" else engine)
-    simulator = make_task(task).simulator(engine)
+    simulator = task.simulator(engine)
     batch = jax.tree.map(lambda leaf: leaf[None], (state, actions))
     _, again = simulator.rollout(*batch)
     _show(console, np.asarray(again.states.points[0]), points, np.asarray(again.faults[0]), faults, again)
@@ -102,7 +102,6 @@ def _from_dataset(dataset: Dataset, number: int):
     if not 0 <= number < len(dataset):
         raise ValueError(f"there is no trajectory {number}: {dataset.path} holds 0 to {len(dataset) - 1}")
     return (
-        dataset.config["task"],
         dataset.config["engine"],
         jax.tree.map(lambda leaf: leaf[0], stored_starts(dataset, np.array([number]))),
         jnp.asarray(dataset["actions"][number]),
@@ -123,7 +122,11 @@ def _from_failures(path: Path, number: int):
     state = SimState(
         **{name: jnp.asarray(stored[name][number]) for name in _STATE_FIELDS},
         faults=jnp.array(0, dtype=jnp.int32),
-        model_fields={},
+        model_fields={
+            name.removeprefix(MODEL): jnp.asarray(values[number])
+            for name, values in stored.items()
+            if name.startswith(MODEL)
+        },
     )
     actions = jnp.asarray(stored["actions"][number])
     return header["task"], "auto", state, actions, stored["points"][number], stored["faults"][number]

@@ -98,7 +98,10 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
     )
     write_whole(out / "comparison.md", text + "\n")
     draw_success(out / "success.png", outcomes, f"{task.replace('_', ' ')}, {trials} {kind}")
-    rows = summary_rows({"task": task} | ({"start": "caught"} if scenes.caught else {}), outcomes)
+    about = {"task": task} | ({"start": "caught"} if scenes.caught else {})
+    if scenes.rope.given:
+        about["rope"] = ", ".join(f"{name} {value}" for name, value in scenes.rope.given.items())
+    rows = summary_rows(about, outcomes)
     inputs = {name: value for run in made for name, value in run.inputs.items()}
     last = made[-1] if made else None
     publish_rows(publish, command=command, seed=int(config["seed"]), rows=rows, inputs=inputs, measured=last)

@@ -8,7 +8,7 @@ import json
 import time
 import traceback
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
+from doojax.tasks.ropes import OWN, OtherRope, carrying
 
 ON_CPU, ON_ACCELERATORS = 8, 32  # trials side by side
 PLANNING, BUDGET = RrtSettings(), TrialSettings()
@@ -52,6 +53,7 @@ def evaluate(
     scenes: Path | None = None,
     trials: int | None = None,
     seed: int = 0,
+    rope: OtherRope = OWN,
     engine: str = "auto",
     planning: RrtSettings = PLANNING,
     budget: TrialSettings = BUDGET,
@@ -74,6 +76,7 @@ def evaluate(
             dual_gripper_caught; by default the one named after the task.
         trials: how many, from the first scene on; by default one for every scene.
         seed: of everything that is random.
+        rope: what of the rope differs from the task's own, in all scenes; they may bring one of their own.
         engine: that executes: auto, mujoco, mjx or warp.
         planning: how a tree is grown.
         budget: when a trial ends.
@@ -99,8 +102,11 @@ def evaluate(
         raise ValueError(f"{path} holds scenes of {scene_set.task}, not of {task}")
     if not 1 <= trials <= len(scene_set):
         raise ValueError(f"trials is {trials}, expected 1 to {len(scene_set)}, the number of scenes")
+    if rope.given:
+        scene_set = with_other_rope(scene_set, the_task, rope)
     config = {
         "task": task,
+        **({"rope": scene_set.rope.given} if scene_set.rope.given else {}),
         "scene": the_task.scene.digest,
         "scenes": file_digest(path)[:16],
         "seed": seed,
@@ -145,6 +151,22 @@ def evaluate(
             )
     console.print(f"{trials} trials of {', '.join(needed)} in {out}", highlight=False)
     console.print(f"to see how they did: doojax compare {out}", highlight=False)
+
+
+def with_other_rope(scenes: SceneSet, task: Task, rope: OtherRope) -> SceneSet:
+    """The same scenes with another rope.
+
+    Raises:
+        ValueError: the scenes have one of their own, or their starts are none of this rope's.
+    """
+    if scenes.rope.given:
+        raise ValueError(f"the scenes have a rope of their own, {scenes.rope.given}: leave --rope out")
+    if rope.reshapes:
+        raise ValueError(
+            "these scenes start with the task's own rope: draw scenes for one of another length or radius, "
+            f"as in: doojax scenes {task.name} --rope.length 0.4"
+        )
+    return replace(scenes, starts=carrying(task, scenes.starts, rope), rope=rope)
 
 
 def record_file(out: Path, method: str, trial: int) -> Path:

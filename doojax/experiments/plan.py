@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from doojax.commands import command_line
+from doojax.experiments.evaluate import with_other_rope
 from doojax.experiments.methods import find_models, make_method, needed_models, pretrained_models
 from doojax.experiments.provenance import digests
 from doojax.experiments.records import save_record
@@ -21,6 +22,7 @@ from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
+from doojax.tasks.ropes import OWN, OtherRope, carrying, with_rope
 
 PLANS = Path("plans")  # where records go that have no other name
 PLANNING, BUDGET = RrtSettings(), TrialSettings()
@@ -37,6 +39,7 @@ def plan(
     goal: tuple[float, float, float] | None = None,
     points: tuple[int, ...] | None = None,
     grippers: tuple[tuple[float, float, float], ...] | None = None,
+    rope: OtherRope = OWN,
     execute: bool = True,
     engine: str = "auto",
     planning: RrtSettings = PLANNING,
@@ -56,6 +59,7 @@ def plan(
         goal: a point (x, y, z, metres) for the task's rope point; by default the scene's.
         points: indices of rope points of which any may reach the goal, in place of the task's own.
         grippers: a point (m) for every gripper; alone, or in addition to a goal.
+        rope: what of the rope differs from the task's own.
         execute: false to plan only.
         engine: that executes: auto, mujoco, mjx or warp.
         planning: how a tree is grown.
@@ -79,20 +83,20 @@ def plan(
     found = find_models(models, task) if models else pretrained_models(task)
     method = method or ("classifier" if "classifier" in found else "collision_checker")
     simulator = the_task.simulator(resolve_engine(engine))
-    start, aim = _scene(the_task, simulator, scene, seed)
+    start, aim = _scene(the_task, simulator, scene, seed, rope)
     wanted = [point_goal(the_task, jnp.array(goal), points=points)] if goal is not None else []
     wanted += [gripper_goal(the_task, jnp.array(grippers))] if grippers is not None else []
     aim = all_of(*wanted) if wanted else aim
     batch: tuple[SimState, Goal] = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (start, aim))
-    rope = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).rope)
-    check_problem(the_task, Problem(simulator.obstacles(start), rope, aim, stream(seed, "plan")))
+    seen = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).rope)
+    check_problem(the_task, Problem(simulator.obstacles(start), seen, aim, stream(seed, "plan")))
 
     chosen = make_method(method, the_task, simulator, found)
     trials = Trials(*batch, [scene or 0], seed)
     (record,) = run_trials(
         the_task, simulator, chosen, planning, budget, trials, keep_trees=True, execute=execute
     )
-    about = {"command": command, "inputs": digests(needed_models(method, found))}
+    about = {"command": command, "rope": rope.given, "inputs": digests(needed_models(method, found))}
     out = out or free_name(PLANS / f"{task}_{method}.npz")
     save_record(out, replace(record, about={**record.about, **about}))
     table = Table(show_header=False, title=f"{task}, {method}, seed {seed}")
@@ -113,13 +117,18 @@ def free_name(path: Path) -> Path:
     return next(one for one in numbered if not one.exists())
 
 
-def _scene(task: Task, simulator: Simulator, scene: int | None, seed: int) -> tuple[SimState, Goal]:
+def _scene(
+    task: Task, simulator: Simulator, scene: int | None, seed: int, rope: OtherRope
+) -> tuple[SimState, Goal]:
     """A start and the goal that goes with it."""
     if scene is None:
         start_key, goal_key = (stream(seed, "plan", name) for name in ("start", "goal"))
-        start = simulator.reset(start_key)
+        begin = with_rope(task, rope).simulator("mujoco") if rope.given else simulator
+        alone = jax.tree.map(lambda leaf: leaf[None], begin.reset(start_key))
+        start = jax.tree.map(lambda leaf: leaf[0], carrying(task, alone, rope))
         return start, point_goal(task, task.sample_goal(goal_key, simulator.obstacles(start)))
     known = load_scenes(FOLDER / f"{task.name}.scenes")
     if not 0 <= scene < len(known):
         raise ValueError(f"there is no scene {scene} of {task.name}: expected 0 to {len(known) - 1}")
+    known = with_other_rope(known, task, rope) if rope.given else known
     return jax.tree.map(lambda leaf: jnp.asarray(leaf[scene]), (known.starts, known.goals))

@@ -17,7 +17,7 @@ from doojax.learning.recovery import acceptances
 from doojax.models.protocols import Dynamics, Recovery, Reliability
 from doojax.planning.recovery import RandomRecovery, recovery_action
 from doojax.simulation.state import SimState
-from doojax.tasks import make_task
+from doojax.tasks.ropes import task_of
 
 MOST_STATES, MOST_ACTIONS = 256, 10
 DRAWS = 2000  # of the bootstrap
@@ -39,7 +39,7 @@ def recovery_rows(
     Raises:
         ValueError: no state of the test split is stuck.
     """
-    task = make_task(tags["task"])
+    task = task_of(dataset.config)
     find_key, check_key, act_key = (
         stream(seed, "recovery trials", name) for name in ("find", "check", "act")
     )

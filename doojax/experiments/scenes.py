@@ -7,7 +7,7 @@ task's rope point to its goal, yet some way leads there that is wide enough for 
 import json
 import os
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from doojax.planning import Goal, point_goal
 from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
+from doojax.tasks.ropes import OWN, OtherRope, carrying, with_rope
 
 VERSION = 1  # raise it when scenes of the same seed become others
 FOLDER = Path(__file__).parent / "scene_sets"
@@ -49,6 +50,7 @@ class SceneSet:
     goals: Goal  # [S]
     sizes: dict[str, np.ndarray]  # [S], metres: see `difficulty`
     caught: bool = False  # does every scene start where an obstacle holds the rope or a gripper back?
+    rope: OtherRope = OWN  # what differs from the task's own; the starts carry it
 
     def __len__(self) -> int:
         """How many scenes there are."""
@@ -56,7 +58,14 @@ class SceneSet:
 
 
 def scenes(
-    task: str, /, *, count: int = SCENES, seed: int = 0, caught: bool = False, out: Path | None = None
+    task: str,
+    /,
+    *,
+    count: int = SCENES,
+    seed: int = 0,
+    caught: bool = False,
+    rope: OtherRope = OWN,
+    out: Path | None = None,
 ) -> None:
     """Draw a set of scenes for trials, write it to a file and print how hard they are.
 
@@ -66,13 +75,15 @@ def scenes(
         seed: of everything that is random.
         caught: start where random actions have led, and an obstacle holds the rope or a gripper back: scenes
             in which recoveries are needed.
+        rope: what of the rope differs from the task's own, in all scenes.
         out: the file, ending in .scenes; by default TASK.scenes in this folder.
 
     Raises:
         ValueError: for an unknown task, a count below 1, a file of another kind, or if hard scenes are rare.
     """
     out = out or Path(f"{task}.scenes")
-    drawn = draw_scenes(make_task(task), count, seed, caught=caught)
+    drawn = draw_scenes(with_rope(make_task(task), rope), count, seed, caught=caught)
+    drawn = replace(drawn, starts=carrying(make_task(task), drawn.starts, rope), rope=rope)
     save_scenes(out, drawn)
     table = Table("metres", "mean", "95 % interval", "least", "greatest", title=f"{count} scenes of {task}")
     for name, values in drawn.sizes.items():
@@ -133,9 +144,10 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
     if path.suffix != ".scenes":
         raise ValueError(f"a file of scenes ends in .scenes, got {path}")
     header = {"format": "doojax scenes", "version": VERSION, "task": scenes.task, "seed": scenes.seed}
-    header |= {"rule": rule(scenes.caught), "caught": scenes.caught}
+    header |= {"rule": rule(scenes.caught), "caught": scenes.caught, "rope": scenes.rope.given}
     arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
     arrays |= {f"start/{name}": np.asarray(getattr(scenes.starts, name)) for name in STATE}
+    arrays |= {f"model/{name}": np.asarray(values) for name, values in scenes.starts.model_fields.items()}
     arrays |= {f"goal/{name}": np.asarray(getattr(scenes.goals, name)) for name in GOAL}
     arrays |= {f"size/{name}": values for name, values in scenes.sizes.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -192,13 +204,15 @@ def load_scenes(path: Path) -> SceneSet:
         )
     state = {name: jnp.asarray(stored[f"start/{name}"]) for name in STATE}
     count = len(state["qpos"])
+    fields = {name[6:]: jnp.asarray(v) for name, v in stored.items() if name.startswith("model/")}
     return SceneSet(
         task=header["task"],
         seed=header["seed"],
-        starts=SimState(**state, faults=jnp.zeros(count, dtype=jnp.int32), model_fields={}),
+        starts=SimState(**state, faults=jnp.zeros(count, dtype=jnp.int32), model_fields=fields),
         goals=Goal(**{name: jnp.asarray(stored[f"goal/{name}"]) for name in GOAL}),
         sizes={name.removeprefix("size/"): v for name, v in stored.items() if name.startswith("size/")},
         caught=header.get("caught", False),
+        rope=OtherRope(**header.get("rope", {})),
     )
 
 

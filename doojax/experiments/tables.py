@@ -6,7 +6,7 @@ A table stands between two lines of a document, each alone on its line:
     <!-- /results -->
 
 Its first columns are the tags under which the metrics were measured, its last ones the metrics; below it
-stands how the figures were made.
+stands how the figures were made. Figures in prose are those of rows, too: see `doojax.experiments.prose`.
 """
 
 import os
@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from doojax.experiments.prose import command_faults, with_figures
 from doojax.experiments.reports import Row, Summary, read_summary, write_whole
 
 OPENING = re.compile(r"<!-- results:([\w/-]+):(\w+(?:,\w+)*) -->")
@@ -21,16 +22,18 @@ CLOSING = "<!-- /results -->"
 
 
 def report(path: Path = Path("results"), /, *, readme: Path | None = None, check: bool = False) -> None:
-    """Write the tables of README.md and docs/*.md anew from the summary files.
+    """Write the tables and figures of README.md and docs/*.md anew from the summary files.
 
     Args:
         path: the folder of results, RESULTS/<area>/summary.json; the documents lie beside it.
         readme: only this document, wherever it lies.
-        check: change nothing; fail if a table is not what the summary files say.
+        check: change nothing; fail if a table or a figure is not what the summary files say, or a command in
+            the documents or the summary files is not understood.
 
     Raises:
         FileNotFoundError: the folder, a document or a summary that a table needs is not there.
-        ValueError: a table's marker is malformed or its metric is unknown, or `check` found a stale table.
+        ValueError: a marker is malformed or its metric is unknown, a figure in prose is in no row, or `check`
+            found something stale or a command that is not understood.
     """
     if not path.is_dir():
         raise FileNotFoundError(
@@ -38,20 +41,23 @@ def report(path: Path = Path("results"), /, *, readme: Path | None = None, check
         )
     beside = path.resolve().parent
     documents = [readme] if readme else [beside / "README.md", *sorted(beside.glob("docs/*.md"))]
+    documents = [document for document in documents if readme or document.exists()]
     stale = []
     for document in documents:
-        if readme is None and not document.exists():
-            continue
         old = document.read_text(encoding="utf-8")
-        new = "".join(f"{line}\n" for line in filled(old.splitlines(), path, document))
+        tables = list(filled(old.splitlines(), path, document))
+        new = "".join(f"{line}\n" for line in with_figures(tables, path, document))
         if new != old:
             stale.append(document.name)
             if not check:
                 write_whole(document, new)
     if stale and check:
         raise ValueError(
-            f"the tables of {', '.join(stale)} are stale; to write them anew, run: doojax report"
+            f"the tables or figures of {', '.join(stale)} are stale; to write them anew, run: doojax report"
         )
+    faults = list(command_faults(documents, path)) if check else []
+    if faults:
+        raise ValueError("\n".join(["some commands are not understood:", *faults]))
     print(f"tables written anew: {', '.join(stale)}" if stale else "every table is up to date")
 
 
@@ -117,8 +123,9 @@ def table(summary: Summary, metrics: Sequence[str], link: str) -> list[str]:
     for index in sorted({row.run for row in chosen}):
         run = summary.runs[index]
         seed = "" if run.seed is None else f", seed {run.seed}"
+        note = f" ({run.note})" if run.note else ""
         lines.append(
-            f"- `{run.command}`{seed}, {run.date[:10]}, {run.device} ([figures and versions]({link}))"
+            f"- `{run.command}`{note}{seed}, {run.date[:10]}, {run.device} ([figures and versions]({link}))"
         )
     return lines
 

@@ -44,6 +44,7 @@ NOT_WANTED = "not wanted"
 STUCK = "stuck, and there is no recovery"
 BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
+MODEL = "model/"  # before the names of model fields, which carry another rope
 REPLAYED = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
 
 
@@ -222,7 +223,12 @@ def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N
             "this trial cannot be executed again: its record holds no first state and no actions"
         )
     stored = {name: jnp.asarray(record.replay[name])[None] for name in REPLAYED}
-    states = SimState(**stored, faults=jnp.zeros(1, dtype=jnp.int32), model_fields={})
+    fields = {
+        name.removeprefix(MODEL): jnp.asarray(values)[None]
+        for name, values in record.replay.items()
+        if name.startswith(MODEL)
+    }
+    states = SimState(**stored, faults=jnp.zeros(1, dtype=jnp.int32), model_fields=fields)
     points = [np.asarray(observed(simulator, states).points[0])]
     for action in record.replay["actions"]:
         states, seen = simulator.rollout(states, jnp.asarray(action)[None, None])
@@ -363,7 +369,11 @@ def _record(
         reached=log.end == REACHED,
         period=task.scene.control_period,
         about=about,
-        replay={"actions": actions, **{name: np.asarray(getattr(start, name)) for name in REPLAYED}},
+        replay={
+            "actions": actions,
+            **{name: np.asarray(getattr(start, name)) for name in REPLAYED},
+            **{MODEL + name: np.asarray(values) for name, values in start.model_fields.items()},
+        },
     )
 
 

@@ -9,6 +9,7 @@ from doojax.experiments.tables import figure, report
 
 ROOT = Path(__file__).parents[2]
 
+COMMAND = "doojax bench rollouts --task 'toy | b'"
 README = """# A project
 
 <!-- results:simulation:steps_per_s,compile_s -->
@@ -27,7 +28,8 @@ def project(tmp_path):
         row("steps_per_s", {"task": "toy", "batch": 1024}, 98765.4, "1/s"),
         row("compile_s", {"task": "toy"}, 2.345, "s"),
     ]
-    write_summary(tmp_path / "results/simulation/summary.json", command="doojax x | y", seed=7, rows=rows)
+    path = tmp_path / "results/simulation/summary.json"
+    write_summary(path, command=COMMAND, seed=7, rows=rows)
     (tmp_path / "README.md").write_text(README)
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs/speed.md").write_text("<!-- results:simulation:compile_s -->\n<!-- /results -->\n")
@@ -48,7 +50,7 @@ def test_tables_are_made_from_the_summaries(project, capsys):
         "| toy | 1024 | 98,765 |  |",
     ]
     assert lines[8] == ""
-    assert lines[9].startswith("- `doojax x | y`, seed 7, 20")
+    assert lines[9].startswith(f"- `{COMMAND}`, seed 7, 20")
     assert lines[9].endswith("([figures and versions](results/simulation/summary.json))")
     assert lines[10:] == README.splitlines()[4:]
     assert "](../results/simulation/summary.json)" in (project / "docs/speed.md").read_text()
@@ -56,14 +58,15 @@ def test_tables_are_made_from_the_summaries(project, capsys):
 
 
 def test_check_changes_nothing_and_fails_only_on_stale_tables(project, capsys):
-    with pytest.raises(ValueError, match=r"the tables of README.md, speed.md are stale; .* doojax report"):
+    with pytest.raises(ValueError, match=r"figures of README.md, speed.md are stale; .* doojax report"):
         report(project / "results", check=True)
     assert (project / "README.md").read_text() == README
     report(project / "results")
     report(project / "results", check=True)
     assert "every table is up to date" in capsys.readouterr().out
     changed = row("compile_s", {"task": "toy"}, 3.0, "s")
-    write_summary(project / "results/simulation/summary.json", command="again", seed=None, rows=[changed])
+    path = project / "results/simulation/summary.json"
+    write_summary(path, command="doojax bench rollouts", seed=None, rows=[changed])
     with pytest.raises(ValueError, match=r"README\.md, speed\.md are stale"):
         report(project / "results", check=True)
 
@@ -79,7 +82,7 @@ def test_each_run_of_the_shown_rows_is_named(project):
     write_summary(project / "results/simulation/summary.json", command="later", seed=None, rows=again)
     report(project / "results", readme=project / "README.md")
     made_by = [line for line in (project / "README.md").read_text().splitlines() if line.startswith("- ")]
-    assert [line.split(", 20")[0] for line in made_by] == ["- `doojax x | y`, seed 7", "- `later`"]
+    assert [line.split(", 20")[0] for line in made_by] == [f"- `{COMMAND}`, seed 7", "- `later`"]
 
 
 COMPILE = "<!-- results:simulation:compile_s -->\n"
@@ -122,6 +125,21 @@ def test_a_missing_folder_or_document_is_named(tmp_path):
 )
 def test_figures_have_three_digits_or_all_before_the_point(value, text):
     assert figure(row("m", {}, value, "")) == text
+
+
+def test_a_run_without_a_complete_command_says_so(project):
+    path = project / "results/simulation/summary.json"
+    incomplete = "doojax evaluate toy --methods oracle"
+    write_summary(path, command=incomplete, seed=None, rows=[row("compile_s", {"task": "toy"}, 3.0, "s")])
+    report(project / "results")
+    with pytest.raises(ValueError, match=r"summary.json: 'doojax evaluate toy .* is not understood: .*--out"):
+        report(project / "results", check=True)
+    text = path.read_text()
+    path.write_text(text.replace('"note": ""}\n', '"note": "--out is missing"}\n'))
+    assert path.read_text() != text
+    report(project / "results")
+    report(project / "results", check=True)
+    assert f"- `{incomplete}` (--out is missing), 20" in (project / "README.md").read_text()
 
 
 def test_the_tables_of_this_project_are_up_to_date():
