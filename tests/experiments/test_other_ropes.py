@@ -51,7 +51,6 @@ def test_a_trial_with_another_rope_is_executed_again_bit_for_bit(tmp_path):
     record = load_record(tmp_path / "plan.npz")
     assert len(record.points) > 2 and record.about["rope"] == ROUGH.given
     assert parsed(record.about["command"])[0][1]["rope"] == ROUGH
-    simulator = TASK.simulator("mujoco")
-    assert np.array_equal(executed_again(simulator, record), record.points)
+    assert np.array_equal(executed_again(TASK.simulator("mujoco"), record), record.points)
     plain = replace(record, replay={n: v for n, v in record.replay.items() if not n.startswith("model/")})
-    assert np.abs(executed_again(simulator, plain) - record.points).max() > 1e-4
+    assert np.abs(executed_again(TASK.simulator("mujoco"), plain) - record.points).max() > 1e-4

@@ -1,6 +1,7 @@
 """Other ropes than a task's own, compiled into a scene or carried by states."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -19,10 +20,10 @@ def test_a_rope_that_states_carry_moves_as_one_that_was_compiled():
     task = make_task("rope_dragging")
     own, rough = task.simulator("mujoco"), with_rope(task, ROUGH).simulator("mujoco")
     starts = jax.vmap(own.reset)(jax.random.split(jax.random.key(0), 2))
-    actions = np.tile(np.array([0.1, 0.05, 0.0], np.float32), (2, 3, 1, 1))
+    actions = jnp.tile(jnp.array([0.1, 0.05, 0.0]), (2, 3, 1, 1))
+    _, plain = own.rollout(carrying(task, starts, OWN), actions)
     _, carried = own.rollout(carrying(task, starts, ROUGH), actions)
     _, compiled = rough.rollout(starts, actions)
-    _, plain = own.rollout(carrying(task, starts, OWN), actions)
     gap = np.abs(np.asarray(carried.states.points) - np.asarray(compiled.states.points)).max()
     assert gap < 1e-4  # single precision of what is carried
     assert np.abs(np.asarray(carried.states.points) - np.asarray(plain.states.points)).max() > 10 * gap
