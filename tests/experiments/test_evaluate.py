@@ -13,10 +13,12 @@ import jax
 import numpy as np
 import pytest
 
+from doojax.commands import parsed
 from doojax.experiments.evaluate import attempted, evaluate, group_of, record_file
 from doojax.experiments.methods import RECIPES
+from doojax.experiments.provenance import digest, noted_commands
 from doojax.experiments.records import load_record
-from doojax.experiments.scenes import draw_scenes, save_scenes
+from doojax.experiments.scenes import FOLDER, draw_scenes, save_scenes, scene_file
 from doojax.experiments.trial import Method
 from tests.planning.problems import BLIND, Towed
 
@@ -185,6 +187,40 @@ def test_what_does_not_fit_is_refused(run, whole, scenes, tmp_path):
     (tmp_path / "b" / "notes.txt").touch()
     with pytest.raises(ValueError, match=r"is not an evaluation: it holds notes.txt"):
         run(tmp_path / "b")
+
+
+def test_models_and_scenes_that_come_along_are_found_without_being_named(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(ValueError, match="trials is 0, expected 1 to 150"):  # and no model is missing
+        evaluate("rope_dragging", methods=("classifier",), out=out, trials=0)
+    with pytest.raises(ValueError, match="trials is 0, expected 1 to "):
+        evaluate(
+            "dual_gripper", methods=("classifier",), out=out, trials=0, scenes=Path("dual_gripper_caught")
+        )
+    with pytest.raises(FileNotFoundError, match=r"no file of scenes dual_griper.*come: dual_gripper, dual_g"):
+        evaluate("dual_gripper", methods=("classifier",), out=out, scenes=Path("dual_griper"))
+    assert not out.exists()
+
+
+def test_a_file_goes_before_a_set_of_the_same_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shipped = FOLDER / "rope_dragging.scenes"
+    assert scene_file(None, "rope_dragging") == shipped
+    assert scene_file(Path("rope_dragging"), "rope_dragging") == shipped
+    Path("rope_dragging.scenes").touch()
+    assert scene_file(Path("rope_dragging.scenes"), "rope_dragging") == Path("rope_dragging.scenes")
+    assert scene_file(None, "rope_dragging") == shipped, "what lies about is not taken unasked"
+
+
+def test_every_call_of_an_evaluation_is_noted_once(run, scenes, tmp_path):
+    out = run(tmp_path / "out", trials=1)
+    run(out, trials=1)
+    (noted,) = noted_commands(out)
+    ((function, arguments),) = parsed(noted.command)
+    assert function is evaluate and arguments["out"] == out and arguments["scenes"] == scenes
+    assert arguments["planning"] == PLANNING and arguments["budget"] == SETTINGS
+    assert (arguments["trials"], arguments["side_by_side"]) == (1, 3)
+    assert noted.inputs == {"scenes": digest(scenes)}
 
 
 def test_every_recipe_is_made_of_what_exists():
