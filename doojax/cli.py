@@ -3,6 +3,7 @@
 Which commands there are, stands in `doojax.commands`.
 """
 
+import contextlib
 import difflib
 import os
 import sys
@@ -18,6 +19,10 @@ from doojax.commands import COMMANDS, Commands, load
 
 # What comes with an extra of doojax only -> the extra.
 EXTRAS = {"flax": "bench", "h_signature": "bench", "ompl": "bench", "playwright": "dev", "warp": "warp"}
+X64 = (
+    "JAX_ENABLE_X64 is set, but data sets, scenes and models of the doojax command are of 32-bit numbers: "
+    "unset it; as a library, doojax computes in either"
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,8 +38,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     with_traceback = "--traceback" in arguments
     arguments = [argument for argument in arguments if argument != "--traceback"]
 
-    # An environment variable, because it needs no import of jax here and reaches worker processes.
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path("~/.cache/doojax/jax").expanduser()))
+    for stream in (sys.stdout, sys.stderr):  # a terminal that lacks a letter gets its number, not an error
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    keep_compiled()
     try:
         status = run(arguments, COMMANDS, "doojax")
         sys.stdout.flush()
@@ -50,6 +57,22 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         complain(f"error: {explain(error)}")
         return 2
+    except Exception as error:
+        said = explain_limit(error)
+        if with_traceback or said is None:
+            raise
+        complain(f"error: {said}")
+        return 2
+
+
+def keep_compiled() -> None:
+    """Have what JAX compiles kept in the user's cache, unless he says where, or has no home.
+
+    By an environment variable, because that needs no import of jax here and reaches worker processes.
+    """
+    with contextlib.suppress(RuntimeError):  # an unknown user without HOME
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "doojax" / "jax"
+        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
 
 
 def run(arguments: Sequence[str], commands: Commands, program: str) -> int:
@@ -68,6 +91,8 @@ def run(arguments: Sequence[str], commands: Commands, program: str) -> int:
     if not isinstance(target, str):
         return run(rest, target, program)
 
+    if os.environ.get("JAX_ENABLE_X64", "0").lower() not in ("", "0", "false", "off", "no"):
+        raise ValueError(X64)
     function = load(target)
     import tyro  # here, so that the list of commands appears at once
 
@@ -99,9 +124,19 @@ def explain(error: Exception) -> str:
     """An error's message in words that need no knowledge of Python."""
     if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] in EXTRAS:
         return f"{error}: pip install 'doojax[{EXTRAS[error.name.split('.')[0]]}]'"
-    if isinstance(error, OSError) and error.filename and error.strerror:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or type(error).__name__
+
+
+def explain_limit(error: Exception) -> str | None:
+    """What to say where memory is short, or JAX was told to refuse a number; None for a defect of doojax."""
+    text = (str(error) or type(error).__name__).splitlines()[0]
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in text:
+        return f"there is not enough memory for this ({text}): ask for less at once"
+    if isinstance(error, FloatingPointError) and os.environ.get("JAX_DEBUG_NANS", "0") not in ("0", "false"):
+        return f"{text} (JAX_DEBUG_NANS is set: without it, NaN stands for what is missing or has failed)"
+    return None
 
 
 def complain(text: str) -> None:

@@ -6,10 +6,16 @@ and batch it with `jax.vmap`.
 """
 
 from enum import IntEnum
+from typing import Annotated
 
 import equinox as eqx
 from jax import Array
 from jaxtyping import Bool, Float, Int
+from msgspec import Meta
+
+# What a network's config may hold: a file that asks for more is damaged, and must not be tried.
+Size = Annotated[int, Meta(ge=1, le=65_536)]
+Depth = Annotated[int, Meta(ge=0, le=64)]  # of what is built one after the other
 
 
 class RopeState(eqx.Module):

@@ -20,6 +20,8 @@ ORDER = [
     "keys",
     "modules",
     "parts",
+    "reading",
+    "files",
     "geometry",
     "topology",
     "simulation",

@@ -16,6 +16,7 @@ from doojax.commands import command_line
 from doojax.datasets.manifest import Field, Manifest
 from doojax.datasets.progress import progress_bar
 from doojax.datasets.writer import DatasetWriter
+from doojax.files import alone_in
 from doojax.keys import numbered, stream
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState, Simulator
@@ -75,21 +76,31 @@ def collect(
         "seed": seed,
         **({"rope": rope.given} if rope.given else {}),
     }
-    writer = DatasetWriter.open(
-        out, config=config, schema=schema(the_task, states - 1), n=trajectories, shard_size=SHARD_SIZE
-    )
-    missing = writer.missing_shards()
-    console = Console(stderr=True)
-    if not missing:
-        console.print(f"{out} is complete already: {trajectories} trajectories")
-        return
+    with alone_in(out):
+        writer = DatasetWriter.open(
+            out, config=config, schema=schema(the_task, states - 1), n=trajectories, shard_size=SHARD_SIZE
+        )
+        console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+        if writer.missing_shards():
+            faulty = _write_missing(writer, the_task, phase, engine, seed, states, console)
+            console.print(f"{trajectories} trajectories of {states} states in {out}")
+            if faulty:
+                console.print(f"{faulty} of them have faults: see doojax inspect {out}", style="yellow")
+        else:
+            console.print(f"{out} is complete already: {trajectories} trajectories")
+
+
+def _write_missing(
+    writer: DatasetWriter, the_task: Task, phase: Phase, engine: str, seed: int, states: int, console: Console
+) -> int:
+    """Simulate and write what is missing; the number of trajectories that have a fault."""
+    missing, faulty = writer.missing_shards(), 0
     simulator = the_task.simulator(engine, phase)
     rows = [writer.manifest.rows(shard) for shard in missing]
-    faulty = 0
     with progress_bar(console) as progress:
-        bar = progress.add_task(f"{task} on {engine}", total=sum(len(row) for row in rows), note="")
+        bar = progress.add_task(f"{the_task.name} on {engine}", total=sum(len(row) for row in rows), note="")
         for shard, row in zip(missing, rows, strict=True):
-            keys = numbered(stream(seed, "collect", task, phase), row)
+            keys = numbered(stream(seed, "collect", the_task.name, phase), row)
             start, _, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
             _require_room(start, row)
             writer.write(shard, stored_arrays(simulator, start, trajectory, np.array(row)))
@@ -99,9 +110,7 @@ def collect(
             rate = (done.completed or 0) * (states - 1) / max(done.elapsed or 0, 1e-9)
             progress.update(bar, note=f"{rate:,.0f} transitions/s")
     writer.finish()
-    console.print(f"{trajectories} trajectories of {states} states in {out}", highlight=False)
-    if faulty:
-        console.print(f"[yellow]{faulty} of them have faults: see doojax inspect {out}[/yellow]")
+    return faulty
 
 
 def command_of(manifest: Manifest, out: Path) -> str | None:

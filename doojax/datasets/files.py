@@ -1,12 +1,9 @@
-"""Where the files of a data set are, and how they reach the disk whole."""
+"""Where the files of a data set are."""
 
-import hashlib
-import os
 from pathlib import Path
 
 MANIFEST = "manifest.json"
 RECORDS = "shards"  # the folder of the shards' records
-TEMPORARY = ".partial"  # zarr's own ending for a file that has not been renamed into place yet
 
 
 def chunk_file(name: str, dimensions: int, shard: int) -> str:
@@ -21,35 +18,6 @@ def record_file(shard: int) -> str:
 
 def complete_shards(path: Path, shards: int) -> list[int]:
     """Those of the first ``shards`` shards that have a record, increasing."""
-    recorded = {file.name for file in (path / RECORDS).glob("*.json")}
-    return [shard for shard in range(shards) if Path(record_file(shard)).name in recorded]
-
-
-def describe_contents(path: Path) -> str:
-    """The names in a folder, at most ten, for an error message."""
-    names = sorted(item.name + "/" * item.is_dir() for item in path.iterdir())
-    return (", ".join(names[:10]) + ", ..." * (len(names) > 10)) or "nothing"
-
-
-def write_atomically(file: Path, text: str) -> None:
-    """Write a file that is either whole and on the disk, or absent, whenever the process ends."""
-    temporary = file.with_name(f"{file.name}.{os.getpid()}{TEMPORARY}")
-    temporary.write_text(text, encoding="utf-8")
-    flush(temporary)
-    temporary.replace(file)
-    flush(file.parent)
-
-
-def flush(path: Path) -> None:
-    """Have a file's bytes, or a folder's entries, reach the disk (fsync)."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def file_digest(file: Path) -> str:
-    """The SHA-256 of a file, in hexadecimal."""
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    names = {file.name: file.stem for file in (path / RECORDS).glob("*.json")}
+    numbers = {int(stem): name for name, stem in names.items() if stem.isdecimal()}
+    return sorted(n for n, name in numbers.items() if n < shards and record_file(n) == f"{RECORDS}/{name}")

@@ -79,9 +79,8 @@ def inspect(path: Path, /, *, verify: bool = True) -> None:
     console = Console(soft_wrap=True)
     console.print(f"[bold]{escape(str(path))}[/]: {_size(dataset)}")
     console.print("config", json.dumps(dataset.config, indent=2), markup=False)
-    console.print(
-        "made with", ", ".join(f"{name} {text}" for name, text in dataset.manifest.versions.items())
-    )
+    versions = ", ".join(f"{name} {text}" for name, text in dataset.manifest.versions.items())
+    console.print("made with", versions, markup=False)
     command = command_of(dataset.manifest, path)
     if command is not None:
         console.print("made by", command, markup=False)
@@ -184,6 +183,6 @@ def _table(dataset: Dataset, summary: Summary) -> Table:
     for name, one in summary.statistics.items():
         about = dataset.fields[name]
         numbers = (one.minimum, one.maximum, one.mean, one.deviation) if one.count else (math.nan,) * 4
-        row = [name, about.dtype, " ".join(map(str, about.shape)), escape(about.unit)]
+        row = [escape(name), about.dtype, " ".join(map(str, about.shape)), escape(about.unit)]
         table.add_row(*row, *(f"{value:.3g}" for value in numbers), *[str(one.missing)] * missing)
     return table

@@ -2,19 +2,24 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from doojax import __version__
-from doojax.datasets.files import MANIFEST, RECORDS, describe_contents
+from doojax.datasets.files import MANIFEST, RECORDS
+from doojax.files import describe_contents
+from doojax.reading import checked, read_json
 
 FORMAT = "doojax dataset"
 FORMAT_VERSION = 1
+MOST_TRAJECTORIES = 100_000_000
+MOST_SHARD_BYTES = 2**35  # a shard is held in memory, as numpy arrays and as JAX's
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,11 @@ class Field:
 
     def __post_init__(self):
         """Refuse what cannot be stored."""
-        if np.dtype(self.dtype).kind not in "biuf":
+        try:
+            kind = np.dtype(self.dtype).kind
+        except TypeError:
+            kind = ""
+        if kind not in set("biuf"):
             raise ValueError(f"dtype must be boolean, integer or floating point, got {self.dtype!r}")
         if any(size < 1 for size in self.shape):
             raise ValueError(f"sizes must be at least 1, got {self.shape}: leave an empty field out")
@@ -43,10 +52,21 @@ class Manifest:
     """The contents of manifest.json: equal for every run that would make the same bytes."""
 
     config: dict[str, Any]
-    fields: dict[str, Field]
-    trajectories: int
-    shard_size: int
+    fields: Annotated[dict[str, Field], Meta(min_length=1)]
+    trajectories: Annotated[int, Meta(ge=1, le=MOST_TRAJECTORIES)]
+    shard_size: Annotated[int, Meta(ge=1)]
     versions: dict[str, str]
+
+    def __post_init__(self):
+        """Refuse names that are no folder's, and shards that no memory holds."""
+        check_names(self.fields)
+        each = sum(math.prod(field.shape) * np.dtype(field.dtype).itemsize for field in self.fields.values())
+        size = each * min(self.shard_size, self.trajectories)
+        if size > MOST_SHARD_BYTES:
+            raise ValueError(
+                f"a shard of {self.shard_size} trajectories has {size / 2**30:.3g} GiB, expected at most "
+                f"{MOST_SHARD_BYTES / 2**30:.0f}: make trajectories shorter, or shards smaller"
+            )
 
     @property
     def shards(self) -> int:
@@ -75,15 +95,22 @@ def make_manifest(
         raise ValueError(
             f"counts must be at least 1, got {trajectories} trajectories in shards of {shard_size}"
         )
-    for name in fields:
-        if not name.isidentifier() or name == RECORDS:
-            raise ValueError(f"a field's name must be an identifier other than {RECORDS!r}, got {name!r}")
+    if trajectories > MOST_TRAJECTORIES:
+        raise ValueError(f"trajectories is {trajectories}, expected at most {MOST_TRAJECTORIES:,}")
+    check_names(fields)
     try:
         plain_config = json.loads(json.dumps(config, allow_nan=False))
     except (TypeError, ValueError) as error:
         raise ValueError(f"the config must hold only what JSON can: {error}") from error
     versions = {"doojax": __version__} | {name: version(name) for name in ("jax", "mujoco", "numpy")}
     return Manifest(plain_config, dict(fields), trajectories, shard_size, versions)
+
+
+def check_names(fields: Iterable[str]) -> None:
+    """Raise ValueError for a field whose name could lead out of the data set's folder."""
+    for name in fields:
+        if not name.isidentifier() or name == RECORDS:
+            raise ValueError(f"a field's name must be an identifier other than {RECORDS!r}, got {name!r}")
 
 
 def read_manifest(path: Path) -> Manifest:
@@ -99,41 +126,20 @@ def read_manifest(path: Path) -> Manifest:
     file = path / MANIFEST
     if not file.exists():
         raise ValueError(f"{path} is not a data set: no {MANIFEST}; it holds {describe_contents(path)}")
+    what = "a data set's manifest"
+    content = read_json(file, dict[str, Any], what)
+    kind, found, shards = (content.pop(name, None) for name in ("format", "format_version", "shards"))
+    if kind != FORMAT:
+        raise ValueError(f'{file} is not {what}: "format" is {kind!r}, expected {FORMAT!r}')
+    if found != FORMAT_VERSION:
+        raise ValueError(
+            f"{path} has format version {found!r}, this doojax reads version {FORMAT_VERSION}: use a newer "
+            "doojax"
+        )
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        if content.get("format") != FORMAT:
-            raise ValueError(f'"format" is {content.get("format")!r}, expected {FORMAT!r}')
-        found = content["format_version"]
-        if found == FORMAT_VERSION:
-            fields = {
-                name: Field(**{**field, "shape": tuple(field["shape"])})
-                for name, field in content["fields"].items()
-            }
-            rest = ("config", "trajectories", "shard_size", "versions")
-            return Manifest(fields=fields, **{key: content[key] for key in rest})
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        problem = f"{type(error).__name__}: {error}"
-        raise ValueError(f"{file} cannot be read as a data set's manifest ({problem})") from error
-    raise ValueError(
-        f"{path} has format version {found}, this doojax reads version {FORMAT_VERSION}: use a newer doojax"
-    )
-
-
-def differences(old: Manifest, new: Manifest) -> list[str]:
-    """Lines "key: old -> new" for everything that differs, nested keys joined by dots."""
-    before, after = _flat(json.loads(old.to_json())), _flat(json.loads(new.to_json()))
-    return [
-        f"{key}: {before.get(key, '(absent)')} -> {after.get(key, '(absent)')}"
-        for key in {**before, **after}
-        if before.get(key) != after.get(key)
-    ]
-
-
-def _flat(value: Any, prefix: str = "") -> dict[str, str]:
-    if not isinstance(value, dict) or not value:
-        return {prefix: json.dumps(value)}
-    return {
-        key: text
-        for name, item in value.items()
-        for key, text in _flat(item, f"{prefix}.{name}" if prefix else name).items()
-    }
+        manifest = checked(content, Manifest)
+        if shards != manifest.shards:
+            raise ValueError(f"shards is {shards!r}, but the counts make {manifest.shards}")
+        return manifest
+    except ValueError as error:
+        raise ValueError(f"{file} is not {what}: {error}") from error

@@ -1,6 +1,7 @@
 """Run a stored trajectory again: `doojax replay`. Also saves the elements of a rollout that failed."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
@@ -11,6 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from doojax.datasets.store import Dataset
+from doojax.files import whole_file
+from doojax.reading import NumberKind, checked, read_arrays, require_arrays
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
@@ -19,6 +22,14 @@ from doojax.types import Trajectory
 
 MODEL = "model/"  # before the names of model fields, which carry another rope
 _STATE_FIELDS = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
+
+
+@dataclass(frozen=True)
+class FailuresHeader:
+    """What a file of failures says beside its arrays."""
+
+    task: str
+    elements: list[int]  # their numbers in the batch that they come from
 
 
 def save_failures(
@@ -45,7 +56,7 @@ def save_failures(
         arrays["faults"] = np.asarray(trajectory.faults)[failed]
         header = json.dumps({"task": task, "elements": failed.tolist()})
         arrays["header"] = np.frombuffer(header.encode(), np.uint8)
-        with open(path, "wb") as file:
+        with whole_file(path) as file:
             np.savez(file, allow_pickle=False, **arrays)
     return int(failed.size)
 
@@ -111,14 +122,15 @@ def _from_dataset(dataset: Dataset, number: int):
 
 
 def _from_failures(path: Path, number: int):
+    what = "a data set or a file of saved failures"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            stored = {name: file[name] for name in file.files}
-        header = json.loads(stored["header"].tobytes())
-    except (OSError, ValueError, KeyError) as error:
-        raise ValueError(f"{path} is neither a data set nor a file of saved failures") from error
-    if not 0 <= number < len(header["elements"]):
-        raise ValueError(f"there is no failure {number}: {path} holds 0 to {len(header['elements']) - 1}")
+        content, stored = read_arrays(path, what)
+        header = checked(content, FailuresHeader)
+        _check_failures(header, stored)
+    except ValueError as error:
+        raise ValueError(f"{path} is not {what}: {error}") from error
+    if not 0 <= number < len(header.elements):
+        raise ValueError(f"there is no failure {number}: {path} holds 0 to {len(header.elements) - 1}")
     state = SimState(
         **{name: jnp.asarray(stored[name][number]) for name in _STATE_FIELDS},
         faults=jnp.array(0, dtype=jnp.int32),
@@ -129,7 +141,25 @@ def _from_failures(path: Path, number: int):
         },
     )
     actions = jnp.asarray(stored["actions"][number])
-    return header["task"], "auto", state, actions, stored["points"][number], stored["faults"][number]
+    return header.task, "auto", state, actions, stored["points"][number], stored["faults"][number]
+
+
+def _check_failures(header: FailuresHeader, stored: dict[str, np.ndarray]) -> None:
+    task, count = make_task(header.task), len(header.elements)
+    scene, bodies = task.scene, len(task.scene.obstacles)
+    periods = stored.get("actions", np.zeros(0)).shape[1:2]
+    states = tuple(number + 1 for number in periods)
+    expected: dict[str, tuple[NumberKind, tuple[int, ...]]] = {
+        "qpos": ("float", (count, scene.nq)),
+        "qvel": ("float", (count, scene.nv)),
+        "obstacle_position": ("float", (count, bodies, 3)),
+        "obstacle_quaternion": ("float", (count, bodies, 4)),
+        "holding": ("bool", (count, task.grippers)),
+        "actions": ("float", (count, *periods, task.grippers, 3)),
+        "points": ("float", (count, *states, scene.rope_model.links, 3)),
+        "faults": ("int", (count, *periods)),
+    }
+    require_arrays(stored, expected)
 
 
 def _show(console: Console, points, stored_points, faults, stored_faults, again: Trajectory) -> None:

@@ -16,9 +16,9 @@ the bytes of an uninterrupted one.
 """
 
 import dataclasses
-import json
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +26,35 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import zarr
-from jaxtyping import Key
+from jaxtyping import Int, Key
 from numpy.typing import DTypeLike
 
-from doojax.datasets.files import MANIFEST, chunk_file, complete_shards, file_digest, record_file
+from doojax.datasets.arrays import open_array
+from doojax.datasets.files import chunk_file, complete_shards, record_file
 from doojax.datasets.manifest import Field, Manifest, read_manifest
 from doojax.datasets.splits import split_by_environment
+from doojax.files import file_digest
+from doojax.reading import read_json
 from doojax.types import Obstacles, RopeState, Trajectory
 
 Indices = int | np.integer | slice | Sequence[int] | np.ndarray | jax.Array  # of trajectories
+
+
+@dataclasses.dataclass(frozen=True)
+class Chunk:
+    """What a shard's record says about one of its files."""
+
+    bytes: int
+    sha256: str
+
+
+@dataclasses.dataclass(frozen=True)
+class ShardRecord:
+    """The record of a complete shard."""
+
+    shard: int
+    trajectories: int
+    chunks: dict[str, Chunk]  # by field
 
 
 class StoredField:
@@ -71,6 +91,7 @@ class StoredField:
         if not isinstance(index, slice):
             index = np.asarray(index)
             index = index if index.size else index.astype(int)
+        self._dataset.zarr_array(self._name)  # before room is made for what it holds
         rows = self._dataset.rows[index]
         return self._read(rows.ravel()).reshape(rows.shape + self.field.shape)
 
@@ -97,7 +118,6 @@ class Dataset:
         path: its folder.
         manifest: config, fields, counts and versions.
         shards: numbers of the complete shards; only their trajectories are shown.
-        rows: number of each shown trajectory within the whole collection; range(n) when complete.
     """
 
     def __init__(self, path: Path, manifest: Manifest, shards: Sequence[int]):
@@ -105,9 +125,6 @@ class Dataset:
         self.path = path
         self.manifest = manifest
         self.shards = list(shards)
-        self.rows = np.concatenate(
-            [np.arange(0), *(np.arange(rows.start, rows.stop) for rows in map(manifest.rows, shards))]
-        )
         self._arrays: dict[str, zarr.Array] = {}
 
     @classmethod
@@ -139,6 +156,12 @@ class Dataset:
         """The config that the data were made with."""
         return self.manifest.config
 
+    @cached_property
+    def rows(self) -> Int[np.ndarray, "n"]:
+        """Number of each shown trajectory within the whole collection; range(n) when complete."""
+        parts = (np.arange(rows.start, rows.stop) for rows in map(self.manifest.rows, self.shards))
+        return np.concatenate([np.arange(0), *parts])
+
     @property
     def complete(self) -> bool:
         """Whether every shard has been written."""
@@ -146,7 +169,7 @@ class Dataset:
 
     def __len__(self) -> int:
         """Number of trajectories in complete shards."""
-        return len(self.rows)
+        return sum(len(self.manifest.rows(shard)) for shard in self.shards)
 
     def __repr__(self) -> str:
         """Folder, size and fields."""
@@ -167,10 +190,10 @@ class Dataset:
         rows = self.manifest.rows(shard)
         values = {}
         for name in self.fields if fields is None else fields:
-            array = self._zarr_array(name)
+            array = self.zarr_array(name)
             try:
                 values[name] = np.asarray(array[rows.start : rows.stop])
-            except (ValueError, RuntimeError, IndexError, OSError) as error:
+            except Exception as error:  # damaged bytes end anywhere in zarr's codecs
                 place = f"shard {shard}, field {name!r}: {self._chunk_file(shard, name)}"
                 raise ValueError(f"{place} cannot be read: {error}\n{self._repair([shard])}") from error
         return values
@@ -181,7 +204,7 @@ class Dataset:
         Raises ValueError naming shard, field and file of everything missing, truncated or altered.
         """
         for name in self.fields:
-            self._zarr_array(name)
+            self.zarr_array(name)
         problems = {shard: list(self._shard_problems(shard)) for shard in self.shards}
         bad = [shard for shard, found in problems.items() if found]
         if bad:
@@ -262,39 +285,29 @@ class Dataset:
             states=self.rope_states(indices), **{name: jnp.asarray(self[name][indices]) for name in names}
         )
 
-    def _zarr_array(self, name: str) -> zarr.Array:
+    def zarr_array(self, name: str) -> zarr.Array:
+        """The array that holds a field. Raises ValueError where it is not as the manifest says."""
         if name not in self._arrays:
-            field = self.fields[name]
-            shape = (self.manifest.trajectories, *field.shape)
-            try:
-                array = zarr.open_array(self.path / name, mode="r", config={"read_missing_chunks": False})
-                if array.shape != shape or array.dtype != field.dtype:
-                    raise ValueError(
-                        f"{array.dtype} {array.shape}, not {field.dtype} {shape} as in {MANIFEST}"
-                    )
-            except (ValueError, KeyError, TypeError, OSError) as error:
-                raise ValueError(
-                    f"field {name!r}: {self.path / name / 'zarr.json'} cannot be read: {error}\n"
-                    "to make it anew, delete it and run the same collect command again"
-                ) from error
-            self._arrays[name] = array
+            self._arrays[name] = open_array(self.path, name, self.manifest)
         return self._arrays[name]
 
     def _shard_problems(self, shard: int) -> Iterator[str]:
         try:
-            recorded = json.loads((self.path / record_file(shard)).read_text(encoding="utf-8"))["chunks"]
-            expected = {name: (recorded[name]["bytes"], recorded[name]["sha256"]) for name in self.fields}
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            record = read_json(self.path / record_file(shard), ShardRecord, "a shard's record")
+            expected = record.chunks
+            if expected.keys() != self.fields.keys():
+                raise ValueError(f"it has the fields {', '.join(expected)}")
+        except (OSError, ValueError) as error:
             yield f"shard {shard}: its record {self.path / record_file(shard)} cannot be read ({error!r})"
             return
-        for name, (size, digest) in expected.items():
+        for name, chunk in expected.items():
             file = self._chunk_file(shard, name)
             place = f"shard {shard}, field {name!r}: {file}"
             if not file.exists():
                 yield f"{place} is missing"
-            elif file.stat().st_size != size:
-                yield f"{place} has {file.stat().st_size} bytes instead of {size}"
-            elif file_digest(file) != digest:
+            elif file.stat().st_size != chunk.bytes:
+                yield f"{place} has {file.stat().st_size} bytes instead of {chunk.bytes}"
+            elif file_digest(file) != chunk.sha256:
                 yield f"{place} has been altered: its SHA-256 differs"
 
     def _chunk_file(self, shard: int, name: str) -> Path:

@@ -1,10 +1,8 @@
 """Writing a data set shard by shard: see doojax.datasets.store for the folder's layout."""
 
-import errno
 import json
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +12,12 @@ from numpy.typing import ArrayLike
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
-from doojax.datasets.files import (
-    MANIFEST,
-    RECORDS,
-    TEMPORARY,
-    chunk_file,
-    complete_shards,
-    describe_contents,
-    file_digest,
-    flush,
-    record_file,
-    write_atomically,
-)
-from doojax.datasets.manifest import Field, Manifest, differences, make_manifest, read_manifest
+from doojax.datasets.arrays import open_array
+from doojax.datasets.files import MANIFEST, RECORDS, chunk_file, complete_shards, record_file
+from doojax.datasets.manifest import Field, Manifest, make_manifest, read_manifest
+from doojax.files import TEMPORARY, claim, file_digest, flush, room_explained, write_whole
+
+SAFE = "complete shards are safe"
 
 
 class DatasetWriter:
@@ -36,10 +27,7 @@ class DatasetWriter:
         """Use `DatasetWriter.open`."""
         self.path = path
         self.manifest = manifest
-        self._arrays = {
-            name: zarr.open_array(path / name, mode="r+", config={"write_empty_chunks": True})
-            for name in manifest.fields
-        }
+        self._arrays = {name: open_array(path, name, manifest, "r+") for name in manifest.fields}
 
     @classmethod
     def open(
@@ -68,24 +56,10 @@ class DatasetWriter:
         path = Path(path)
         manifest = make_manifest(config, schema, n, shard_size)
         if (path / MANIFEST).exists():
-            wanted, manifest = manifest, read_manifest(path)
-            changes = differences(manifest, wanted)
-            if changes:
-                lines = "\n  ".join(changes)
-                raise ValueError(
-                    f"{path} holds data of another collection (old -> new):\n  {lines}\n"
-                    "choose another folder, or collect with the old settings to resume"
-                )
-        elif path.exists() and not path.is_dir():
-            raise ValueError(f"{path} is a file: a new or empty folder was expected")
-        elif path.exists() and any(not item.name.endswith(TEMPORARY) for item in path.iterdir()):
-            raise ValueError(
-                f"{path} holds no data set but {describe_contents(path)}: choose a new or empty folder"
-            )
-        with _full_disk_explained(path):
-            path.mkdir(parents=True, exist_ok=True)
-            if not (path / MANIFEST).exists():
-                write_atomically(path / MANIFEST, manifest.to_json())
+            read_manifest(path)  # whose errors say more
+        with room_explained(path, SAFE):
+            claim(path, MANIFEST, json.loads(manifest.to_json()), "data set")
+            manifest = read_manifest(path)
             (path / RECORDS).mkdir(exist_ok=True)
             _create_arrays(path, manifest)
         return cls(path, manifest)
@@ -116,7 +90,7 @@ class DatasetWriter:
         rows = self.manifest.rows(shard)
         checked = _fitting_arrays(shard, arrays, self.manifest.fields, len(rows))
         chunks = {}
-        with _full_disk_explained(self.path):
+        with room_explained(self.path, SAFE):
             for name, values in checked.items():
                 file = self.path / chunk_file(name, values.ndim, shard)
                 self._arrays[name][rows.start : rows.stop] = values
@@ -124,7 +98,7 @@ class DatasetWriter:
                 flush(file)
                 flush(file.parent)
             content = {"shard": shard, "trajectories": len(rows), "chunks": chunks}
-            write_atomically(record, json.dumps(content, indent=1) + "\n")
+            write_whole(record, json.dumps(content, indent=1) + "\n")
 
     def finish(self) -> None:
         """Check that every shard is there and remove temporary files that killed runs left.
@@ -143,7 +117,12 @@ class DatasetWriter:
 
 
 def _create_arrays(path: Path, manifest: Manifest) -> None:
-    group = zarr.open_group(path, mode="a", zarr_format=3, use_consolidated=False)
+    try:
+        group = zarr.open_group(path, mode="a", zarr_format=3, use_consolidated=False)
+    except OSError:
+        raise
+    except Exception as error:  # damaged metadata end anywhere in zarr
+        raise ValueError(f"{path / 'zarr.json'} cannot be read ({error}): delete it") from error
     for name, field in manifest.fields.items():
         if name not in group:
             group.create_array(
@@ -188,17 +167,3 @@ def _fitting_arrays(
                     f"{values[first]} at {first}; only NaN in a field that may be missing is allowed"
                 )
     return checked
-
-
-@contextmanager
-def _full_disk_explained(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            raise OSError(
-                error.errno,
-                f"no room left to write to {path}; complete shards are safe: make room and run the same "
-                "command again",
-            ) from error
-        raise

@@ -16,7 +16,7 @@ from rich.table import Table
 from doojax.commands import AND, command_line
 from doojax.experiments.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
 from doojax.experiments.provenance import noted_commands
-from doojax.experiments.reports import Row, publish_rows, row, write_whole
+from doojax.experiments.reports import Row, publish_rows, row
 from doojax.experiments.scenes import load_scenes, rule
 from doojax.experiments.statistics import (
     Estimate,
@@ -29,6 +29,8 @@ from doojax.experiments.statistics import (
     success_rate,
 )
 from doojax.experiments.tables import cells
+from doojax.experiments.trial import CRASHED
+from doojax.files import write_whole
 
 ORACLE = "oracle"
 TESTS: dict[str, Callable[[Outcomes, Outcomes], PairedTest]] = {
@@ -86,6 +88,7 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
             f"Success: the goal's point ends within {100 * outcomes[0].goal_radius:.0f} cm of the goal, with "
             "Wilson's interval. Errors in metres; intervals of 95 % by bootstrap.",
             "",
+            *(f"**{line}**\n" for line in crash_lines(outcomes)),
             *(("## Paired tests", "", *_markdown(tables["tests"]), "") if len(outcomes) > 1 else ()),
             "## Scenes",
             "",
@@ -106,7 +109,9 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
     last = made[-1] if made else None
     publish_rows(publish, command=command, seed=int(config["seed"]), rows=rows, inputs=inputs, measured=last)
     show_briefly(outcomes, f"{task}: {trials} {kind}")
-    Console(stderr=True).print(f"all tables and the figure are in {out}", highlight=False)
+    for line in crash_lines(outcomes):
+        Console(stderr=True, markup=False, highlight=False).print(line, style="red", soft_wrap=True)
+    Console(stderr=True).print(f"all tables and the figure are in {out}", highlight=False, markup=False)
 
 
 def show_briefly(outcomes: Sequence[Outcomes], title: str) -> None:
@@ -180,6 +185,19 @@ def end_table(outcomes: Sequence[Outcomes]) -> list[list[str]]:
     reasons = sum(counts, Counter()).most_common()
     lines = [["end", *(one.method for one in outcomes)]]
     return lines + [[reason, *(str(count[reason]) for count in counts)] for reason, _ in reasons]
+
+
+def crash_lines(outcomes: Sequence[Outcomes]) -> list[str]:
+    """One line for every method of which trials crashed: those are no findings about it."""
+    lines = []
+    for one in outcomes:
+        count = sum(end.startswith(CRASHED) for end in one.ends)
+        if count:
+            lines.append(
+                f"{count} of {len(one.ends)} trials of {one.method} crashed and count as failures: delete "
+                "their records and evaluate again."
+            )
+    return lines
 
 
 def trial_table(outcomes: Sequence[Outcomes], sizes: dict[str, np.ndarray]) -> list[list[str]]:

@@ -10,15 +10,12 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 
 from doojax.commands import command_line
-from doojax.datasets.files import describe_contents, file_digest, write_atomically
 from doojax.datasets.progress import progress_bar
 from doojax.experiments.methods import (
     RECIPES,
@@ -32,7 +29,8 @@ from doojax.experiments.provenance import digests, note_command
 from doojax.experiments.records import TrialRecord, save_record
 from doojax.experiments.scenes import SceneSet, load_scenes, save_scenes, scene_file
 from doojax.experiments.trial import CRASHED, Method, Trials, TrialSettings, crashed, run_trials
-from doojax.planning import RrtSettings
+from doojax.files import alone_in, claim, file_digest
+from doojax.planning import RrtSettings, require_reachable
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Simulator
 from doojax.tasks import make_task
@@ -40,6 +38,7 @@ from doojax.tasks.base import Task
 from doojax.tasks.ropes import OWN, OtherRope, carrying
 
 ON_CPU, ON_ACCELERATORS = 8, 32  # trials side by side
+MOST_SIDE_BY_SIDE = 4096
 PLANNING, BUDGET = RrtSettings(), TrialSettings()
 
 
@@ -85,7 +84,9 @@ def evaluate(
 
     Raises:
         ValueError: for an unknown name, models that are missing or of another task, more trials than scenes,
-            or a folder that holds something else.
+            a goal that nothing can reach, a folder that holds something else, or a method all of whose
+            trials crashed.
+        BlockingIOError: another process evaluates into the same folder.
     """
     command = command_line(evaluate, locals())
     the_task = make_task(task)
@@ -97,7 +98,10 @@ def evaluate(
     found = find_models(models, task) if models else pretrained_models(task)
     needed = {name: needed_models(name, found) for name in dict.fromkeys(methods)}
     trials = len(scene_set) if trials is None else trials
-    side_by_side = side_by_side or (ON_CPU if jax.default_backend() == "cpu" else ON_ACCELERATORS)
+    if side_by_side is None:
+        side_by_side = ON_CPU if jax.default_backend() == "cpu" else ON_ACCELERATORS
+    if not 1 <= side_by_side <= MOST_SIDE_BY_SIDE:
+        raise ValueError(f"side_by_side is {side_by_side}, expected 1 to {MOST_SIDE_BY_SIDE}")
     if scene_set.task != task:
         raise ValueError(f"{path} holds scenes of {scene_set.task}, not of {task}")
     if not 1 <= trials <= len(scene_set):
@@ -115,42 +119,46 @@ def evaluate(
         "budget": asdict(budget),
         "side_by_side": side_by_side,
     }
-    claim(out, CONFIG, config)
-    if not (out / SCENES).exists():
-        save_scenes(out / SCENES, scene_set)
-    inputs = {f"{name}/{kind}": file for name, files in needed.items() for kind, file in files.items()}
-    note_command(out, command, seed, digests({"scenes": path, **inputs}))
     simulator = the_task.simulator(engine)
-    console = Console(stderr=True)
-    for name, files in needed.items():
-        claim(out / name, METHOD, {"models": {kind: file_digest(path)[:16] for kind, path in files.items()}})
-        method = make_method(name, the_task, simulator, found)
-        missing = [i for i in range(trials) if not record_file(out, name, i).exists()]
-        groups = sorted({i // side_by_side for i in missing})
-        with progress_bar(console) as progress:
-            bar = progress.add_task(name, total=trials, completed=trials - len(missing), note="")
-            reached, broken = 0, []
-            for group in groups:
-                begun = time.perf_counter()
-                numbers = group_of(group, side_by_side, len(scene_set))
-                fresh = [i for i in missing if i // side_by_side == group]
-                wanted = [n in fresh and numbers.index(n) == k for k, n in enumerate(numbers)]
-                chosen = chosen_trials(scene_set, numbers, seed)._replace(wanted=wanted)
-                records = attempted(the_task, simulator, method, planning, budget, chosen, keep_trees)
-                for i in fresh:
-                    record = records[numbers.index(i)]
-                    save_record(record_file(out, name, i), record)
-                    reached += record.reached
-                    broken += [record.end] if record.end.startswith(CRASHED) else []
-                _note_seconds(out / name, len(fresh), time.perf_counter() - begun)
-                progress.update(bar, advance=len(fresh), note=f"{reached} reached")
-        if broken:
-            console.print(
-                f"[red]{name}: {len(broken)} trials {escape(broken[0])}[/] (their records say where; delete "
-                "them to try again)"
-            )
-    console.print(f"{trials} trials of {', '.join(needed)} in {out}", highlight=False)
-    console.print(f"to see how they did: doojax compare {out}", highlight=False)
+    require_reachable(the_task, jax.vmap(simulator.obstacles)(scene_set.starts), scene_set.goals)
+    console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    with alone_in(out):
+        claim(out, CONFIG, config, "evaluation")
+        if not (out / SCENES).exists():
+            save_scenes(out / SCENES, scene_set)
+        inputs = {f"{name}/{kind}": file for name, files in needed.items() for kind, file in files.items()}
+        note_command(out, command, seed, digests({"scenes": path, **inputs}))
+        for name, files in needed.items():
+            models_used = {kind: file_digest(path)[:16] for kind, path in files.items()}
+            claim(out / name, METHOD, {"models": models_used}, "evaluation")
+            method = make_method(name, the_task, simulator, found)
+            missing = [i for i in range(trials) if not record_file(out, name, i).exists()]
+            groups = sorted({i // side_by_side for i in missing})
+            with progress_bar(console) as progress:
+                bar = progress.add_task(name, total=trials, completed=trials - len(missing), note="")
+                reached, broken = 0, []
+                for group in groups:
+                    begun = time.perf_counter()
+                    numbers = group_of(group, side_by_side, len(scene_set))
+                    fresh = [i for i in missing if i // side_by_side == group]
+                    wanted = [n in fresh and numbers.index(n) == k for k, n in enumerate(numbers)]
+                    chosen = chosen_trials(scene_set, numbers, seed)._replace(wanted=wanted)
+                    records = attempted(the_task, simulator, method, planning, budget, chosen, keep_trees)
+                    for i in fresh:
+                        record = records[numbers.index(i)]
+                        save_record(record_file(out, name, i), record)
+                        reached += record.reached
+                        broken += [record.end] if record.end.startswith(CRASHED) else []
+                    _note_seconds(out / name, len(fresh), time.perf_counter() - begun)
+                    progress.update(bar, advance=len(fresh), note=f"{reached} reached")
+            if broken:
+                said = f"{len(broken)} of {len(missing)} trials of {name} {broken[0]} (their records say "
+                said += "where; delete them to try again)"
+                if len(broken) == len(missing):
+                    raise ValueError(said)
+                console.print(said, style="red")
+    console.print(f"{trials} trials of {', '.join(needed)} in {out}")
+    console.print(f"to see how they did: doojax compare {out}")
 
 
 def with_other_rope(scenes: SceneSet, task: Task, rope: OtherRope) -> SceneSet:
@@ -172,34 +180,6 @@ def with_other_rope(scenes: SceneSet, task: Task, rope: OtherRope) -> SceneSet:
 def record_file(out: Path, method: str, trial: int) -> Path:
     """Where a trial's record is."""
     return out / method / f"{trial:05d}.npz"
-
-
-def claim(folder: Path, name: str, config: dict[str, Any]) -> None:
-    """Begin a folder with this config in the file ``name``, or return to one that was begun with it.
-
-    Raises:
-        ValueError: the folder holds something else; the message says what.
-    """
-    file = folder / name
-    config = json.loads(json.dumps(config, allow_nan=False))
-    if file.exists():
-        old = json.loads(file.read_text(encoding="utf-8"))
-        changed = [
-            f"{key}: {old.get(key)!r} -> {config.get(key)!r}"
-            for key in {**old, **config}
-            if old.get(key) != config.get(key)
-        ]
-        if changed:
-            raise ValueError(
-                f"{folder} holds another evaluation (old -> new):\n  " + "\n  ".join(changed) + "\n"
-                "choose another folder, or the old settings to go on with it"
-            )
-    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        held = describe_contents(folder) if folder.is_dir() else "a file"
-        raise ValueError(f"{folder} is not an evaluation: it holds {held}; choose a new or empty folder")
-    else:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(file, json.dumps(config, indent=2) + "\n")
 
 
 def group_of(group: int, size: int, scenes: int) -> list[int]:

@@ -1,19 +1,48 @@
 """How trials came out: the figures of an evaluation's records, by method."""
 
-import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from msgspec import Meta
 
 from doojax.experiments.methods import RECIPES
 from doojax.experiments.records import TrialRecord, load_record
+from doojax.reading import checked, read_json, read_lines
 
 CONFIG, METHOD, SECONDS, SCENES = "config.json", "method.json", "seconds.jsonl", "all.scenes"
+Count = Annotated[int, Meta(ge=0)]
 COUNTS = ("searches", "extensions", "actions", "recovery_actions")
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """What every evaluation's config says."""
+
+    task: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What a trial's record has to say about it."""
+
+    final_error_m: Annotated[float, Meta(ge=0)]
+    plan_s: Annotated[float, Meta(ge=0)]
+    searches: Count
+    extensions: Count
+    actions: Count
+    recovery_actions: Count
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """How long some trials took."""
+
+    trials: Count
+    seconds: Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +85,8 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], list[Outcomes]]:
     file = folder / CONFIG
     if not file.exists():
         raise FileNotFoundError(f"{folder} holds no evaluation: doojax evaluate writes one")
-    config = json.loads(file.read_text(encoding="utf-8"))
+    config = read_json(file, dict[str, Any], "the config of an evaluation")
+    checked({name: config.get(name) for name in ("task", "seed")}, EvaluationConfig, str(file))
     names = sorted(file.parent.name for file in folder.glob(f"*/{METHOD}"))
     known = list(RECIPES)
     names.sort(key=lambda name: known.index(name) if name in known else len(known))
@@ -72,28 +102,27 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], list[Outcomes]]:
 
 def read_outcomes(folder: Path) -> Outcomes:
     """What the records of one method say."""
-    files = sorted(path for path in folder.glob("*.npz") if not path.name.startswith("."))
-    records = [load_record(path) for path in files]
-    trials = [record for record in records if isinstance(record, TrialRecord)]
-
-    def column(read: Callable[[TrialRecord], Any], kind: type) -> np.ndarray:
-        return np.array([read(record) for record in trials], dtype=kind)
-
-    seconds = [json.loads(line)["seconds"] for line in _lines(folder / SECONDS)]
+    files = [path for path in sorted(folder.glob("*.npz")) if path.stem.isdecimal()]
+    trials = [record for record in map(load_record, files) if isinstance(record, TrialRecord)]
+    if len(trials) < len(files):
+        raise ValueError(f"{folder} holds records that are no trials: delete them")
+    figures = [_figures(path, record) for path, record in zip(files, trials, strict=True)]
+    seconds = read_lines(folder / SECONDS, Seconds, "the seconds that trials took")
     return Outcomes(
         method=folder.name,
         trials=np.array([int(path.stem) for path in files], dtype=int),
-        success=column(lambda record: record.reached, bool),
-        error=column(lambda record: record.about["final_error_m"], float),
-        plan_s=column(lambda record: record.about["plan_s"], float),
-        counts={name: column(lambda record, name=name: record.about[name], int) for name in COUNTS},
+        success=np.array([record.reached for record in trials], dtype=bool),
+        error=np.array([one.final_error_m for one in figures], dtype=float),
+        plan_s=np.array([one.plan_s for one in figures], dtype=float),
+        counts={name: np.array([getattr(one, name) for one in figures], dtype=int) for name in COUNTS},
         ends=tuple(record.end for record in trials),
-        minutes=sum(seconds) / 60,
+        minutes=sum(one.seconds for one in seconds) / 60,
         goal_radius=trials[0].goal_radius if trials else 0.0,
     )
 
 
-def _lines(file: Path) -> list[str]:
-    """Whole lines; a last one that was being written when the process was killed is left out."""
-    text = file.read_text(encoding="utf-8") if file.exists() else ""
-    return text[: text.rfind("\n") + 1].splitlines()
+def _figures(path: Path, record: TrialRecord) -> Figures:
+    try:
+        return checked({field.name: record.about.get(field.name) for field in fields(Figures)}, Figures)
+    except ValueError as error:
+        raise ValueError(f"{path} does not say how its trial went: {error}") from error

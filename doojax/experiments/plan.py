@@ -102,7 +102,7 @@ def plan(
     table = Table(show_header=False, title=f"{task}, {method}, seed {seed}")
     for event in record.events:
         table.add_row(f"state {event.step}", event.kind, event.text)
-    console = Console()
+    console = Console(markup=False, highlight=False)
     console.print(table)
     if execute:
         console.print(

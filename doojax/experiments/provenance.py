@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from doojax.datasets.files import MANIFEST, file_digest
+from doojax.datasets.files import MANIFEST
 from doojax.experiments.reports import Run, check_run, this_run
+from doojax.files import file_digest, room_explained
 from doojax.learning.checkpoints import MODEL
 
 COMMANDS = "commands.jsonl"
@@ -37,7 +38,7 @@ def note_command(folder: Path, command: str, seed: int | None, inputs: Mapping[s
     if any((run.command, run.inputs) == (command, inputs) for run in noted_commands(folder)):
         return
     run = replace(this_run(), command=command, seed=seed, inputs=dict(inputs))
-    with (folder / COMMANDS).open("a", encoding="utf-8") as file:
+    with room_explained(folder), (folder / COMMANDS).open("a", encoding="utf-8") as file:
         file.write(json.dumps(asdict(run), ensure_ascii=False) + "\n")
 
 

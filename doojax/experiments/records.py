@@ -9,8 +9,6 @@ world frame with z up, times seconds. T1 = T + 1 states have T actions between t
 """
 
 import json
-import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -20,6 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from doojax.files import whole_file
+from doojax.reading import checked, read_arrays
 from doojax.simulation.scenes import Scene
 from doojax.types import Obstacles
 
@@ -226,15 +226,9 @@ def save_record(path: Path | str, record: Record) -> None:
         text = json.dumps(header, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: the record holds what JSON cannot: {error}") from error
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with temporary.open("wb") as file:
-            everything: dict[str, Any] = {"header": np.frombuffer(text.encode(), np.uint8), **arrays}
-            np.savez_compressed(file, **everything)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    everything: dict[str, Any] = {"header": np.frombuffer(text.encode(), np.uint8), **arrays}
+    with whole_file(path) as file:
+        np.savez_compressed(file, **everything)
 
 
 def load_record(path: Path | str) -> Record:
@@ -244,36 +238,23 @@ def load_record(path: Path | str) -> Record:
         FileNotFoundError: there is no such file.
         ValueError: it is no record, is damaged, or is of a newer version; the message says which.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        header = json.loads(arrays.pop("header").tobytes())
-        kind = FORMATS.get(header.pop("format", ""))
-        version = header.pop("version", None)
-        if kind is not None and version == VERSION:
-            return _record(kind, _unpacked(header, arrays))
-    except FileNotFoundError:
-        raise
-    except (ValueError, KeyError, TypeError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as error:
-        raise ValueError(
-            f"{path} is not a record that can be read ({type(error).__name__}: {error})"
-        ) from error
-    if kind is None:
+    what = "a record that can be read"
+    path = Path(path)
+    header, arrays = read_arrays(path, what)
+    header = header if isinstance(header, dict) else {}
+    name, version = header.pop("format", None), header.pop("version", None)
+    if name not in FORMATS:
         raise ValueError(f"{path} is not a record of doojax: its format is none of {', '.join(FORMATS)}")
-    raise ValueError(f"{path} has version {version}, this doojax reads version {VERSION}: use a newer doojax")
-
-
-def _record(kind: type[Record], content: dict[str, Any]) -> Record:
-    content["look"] = Look(**content["look"])
-    content["obstacles"] = Obstacles(
-        **{name: jnp.asarray(values) for name, values in content["obstacles"].items()}
-    )
-    if content.get("grid") is not None:
-        content["grid"] = Grid(**content["grid"])
-    if kind is TrialRecord:
-        content["plans"] = tuple(PlanRecord(**plan) for plan in content["plans"])
-        content["events"] = tuple(Event(**event) for event in content["events"])
-    return kind(**content)
+    if version != VERSION:
+        raise ValueError(
+            f"{path} has version {version!r}, this doojax reads version {VERSION}: use a newer doojax"
+        )
+    try:
+        content = _unpacked(header, arrays)
+        content["obstacles"] = {name: jnp.asarray(values) for name, values in content["obstacles"].items()}
+        return checked(content, FORMATS[name])
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{path} is not {what} ({error})") from error
 
 
 def _packed(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:

@@ -10,7 +10,6 @@ as a whole repeat those of the latest run, the last in `runs`.
 
 import json
 import math
-import os
 import platform
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,6 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 import doojax
+from doojax.files import write_whole
 
 type Tag = str | int | float | bool
 
@@ -160,7 +160,6 @@ def write_summary(
         (*(old.runs[old_index] for old_index in used), run), tuple(sorted([*kept, *new], key=order))
     )
     check(merged)
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, to_json(merged))
     return merged
 
@@ -278,19 +277,6 @@ def device() -> str:
     model = models[0] if models else platform.processor() or platform.machine()
     cpu = f"{model}, {cores} {'core' if cores == 1 else 'cores'}"
     return f"{jax.devices()[0].device_kind}; {cpu}" if jax.default_backend() == "gpu" else cpu
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Replace a file's text so that a reader, or a crash, sees either the old or the new one."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def to_json(summary: Summary) -> str:

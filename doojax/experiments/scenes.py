@@ -5,8 +5,6 @@ task's rope point to its goal, yet some way leads there that is wide enough for 
 """
 
 import json
-import os
-import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +18,10 @@ from rich.table import Table
 from doojax.datasets.collect import random_trajectories
 from doojax.experiments.difficulty import difficulty
 from doojax.experiments.statistics import bootstrap
+from doojax.files import whole_file
 from doojax.keys import numbered, stream
 from doojax.planning import Goal, point_goal
+from doojax.reading import NumberKind, checked, read_arrays, require_arrays
 from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
@@ -55,6 +55,17 @@ class SceneSet:
     def __len__(self) -> int:
         """How many scenes there are."""
         return len(self.starts.qpos)
+
+
+@dataclass(frozen=True)
+class SceneHeader:
+    """What the file of a set says beside its arrays."""
+
+    task: str
+    seed: int
+    rule: str = ""
+    caught: bool = False
+    rope: OtherRope = OWN
 
 
 def scenes(
@@ -91,7 +102,7 @@ def scenes(
         interval = f"{mean.low:.3f} to {mean.high:.3f}"
         table.add_row(name, f"{mean.value:.3f}", interval, f"{values.min():.3f}", f"{values.max():.3f}")
     Console().print(table)
-    Console(stderr=True).print(f"wrote {out}: {rule(caught)}", highlight=False)
+    Console(stderr=True).print(f"wrote {out}: {rule(caught)}", highlight=False, markup=False)
 
 
 def rule(caught: bool) -> str:
@@ -150,14 +161,8 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
     arrays |= {f"model/{name}": np.asarray(values) for name, values in scenes.starts.model_fields.items()}
     arrays |= {f"goal/{name}": np.asarray(getattr(scenes.goals, name)) for name in GOAL}
     arrays |= {f"size/{name}": values for name, values in scenes.sizes.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        np.savez_compressed(file, **arrays)
 
 
 def scene_file(wanted: Path | None, task: str) -> Path:
@@ -189,31 +194,68 @@ def load_scenes(path: Path) -> SceneSet:
         FileNotFoundError: there is no such file.
         ValueError: it is no file of scenes, or of another version; the message says which.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            stored = {name: file[name] for name in file.files}
-        header = json.loads(stored["header"].tobytes())
-        version = header["version"] if header["format"] == "doojax scenes" else None
-    except FileNotFoundError:
-        raise
-    except (ValueError, KeyError, TypeError, OSError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is not a file of scenes ({type(error).__name__}: {error})") from error
+    what = "a file of scenes"
+    content, stored = read_arrays(path, what)
+    content = content if isinstance(content, dict) else {}
+    kind, version = content.pop("format", None), content.pop("version", None)
+    if kind != "doojax scenes":
+        raise ValueError(f"{path} is not {what}: its format is {kind!r}")
     if version != VERSION:
         raise ValueError(
-            f"{path} has version {version} of scenes, this doojax uses {VERSION}: draw them anew"
+            f"{path} has version {version!r} of scenes, this doojax uses {VERSION}: draw them anew"
         )
+    try:
+        header = checked(content, SceneHeader)
+        _check_arrays(make_task(header.task), stored)
+    except ValueError as error:
+        raise ValueError(f"{path} is not {what} that can be used: {error}") from error
     state = {name: jnp.asarray(stored[f"start/{name}"]) for name in STATE}
     count = len(state["qpos"])
     fields = {name[6:]: jnp.asarray(v) for name, v in stored.items() if name.startswith("model/")}
     return SceneSet(
-        task=header["task"],
-        seed=header["seed"],
+        task=header.task,
+        seed=header.seed,
         starts=SimState(**state, faults=jnp.zeros(count, dtype=jnp.int32), model_fields=fields),
         goals=Goal(**{name: jnp.asarray(stored[f"goal/{name}"]) for name in GOAL}),
         sizes={name.removeprefix("size/"): v for name, v in stored.items() if name.startswith("size/")},
-        caught=header.get("caught", False),
-        rope=OtherRope(**header.get("rope", {})),
+        caught=header.caught,
+        rope=header.rope,
     )
+
+
+def _check_arrays(task: Task, stored: dict[str, np.ndarray]) -> None:
+    """Raise ValueError unless these are starts and goals of a task's scene."""
+    scene, bodies = task.scene, len(task.scene.obstacles)
+    qpos, goals = stored.get("start/qpos", np.zeros(0)), stored.get("goal/targets", np.zeros(0))
+    count, targets = qpos.shape[:1], goals.shape[1:2]
+    if not all((*count, *targets)):
+        raise ValueError("it holds no scenes")
+    expected: dict[str, tuple[NumberKind, tuple[int, ...]]] = {
+        "start/qpos": ("float", (*count, scene.nq)),
+        "start/qvel": ("float", (*count, scene.nv)),
+        "start/obstacle_position": ("float", (*count, bodies, 3)),
+        "start/obstacle_quaternion": ("float", (*count, bodies, 4)),
+        "start/holding": ("bool", (*count, task.grippers)),
+        "goal/targets": ("float", (*count, *targets, 3)),
+        "goal/bodies": ("bool", (*count, *targets, scene.rope_model.links + task.grippers)),
+        "goal/tolerance": ("float", count),
+        **{name: ("float", count) for name in stored if name.startswith("size/")},
+        **{
+            name: ("float", (*count, *values.shape[1:]))
+            for name, values in stored.items()
+            if name.startswith("model/")
+        },
+    }
+    require_arrays(stored, expected)
+    for name in expected:
+        wrong = np.argwhere(~np.isfinite(stored[name]))
+        if len(wrong):
+            raise ValueError(f"{name} of scene {wrong[0][0]} is not finite")
+    if not (stored["goal/tolerance"] > 0).all() or not stored["goal/bodies"].any(-1).all():
+        raise ValueError("a goal has no positive tolerance, or nothing that may reach it")
+    inside = np.asarray(task.workspace.contains(jnp.asarray(stored["goal/targets"])))
+    if not inside.all():
+        raise ValueError(f"the goal of scene {np.argwhere(~inside)[0][0]} lies outside of the workspace")
 
 
 def _caught(task: Task, simulator: Any, keys: jax.Array) -> tuple[SimState, np.ndarray]:

@@ -104,6 +104,8 @@ def permutation(
     """
     _require_pairs(first, second)
     differences = first - second
+    if len(differences) == 1:  # swapped or not, it is as far from zero
+        return PairedTest(bootstrap(differences), 1.0)
     result = stats.permutation_test(
         (differences,),
         np.mean,

@@ -15,6 +15,7 @@ from doojax.experiments.model_pictures import save_figure
 from doojax.experiments.provenance import digests, note_command
 from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.experiments.train import training_progress
+from doojax.files import alone_in
 from doojax.learning.presets import PresetName
 from doojax.learning.sweep import Measured, sweep_thresholds
 
@@ -61,7 +62,7 @@ def sweep_threshold(
             of a class.
     """
     command = command_line(sweep_threshold, locals())
-    with training_progress(Console(stderr=True), "sweep") as report:
+    with alone_in(out), training_progress(Console(stderr=True), "sweep") as report:
         task, own, measured = sweep_thresholds(
             data, out, dynamics, thresholds, seeds, preset, epochs, trajectories, seed, report
         )

@@ -15,7 +15,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from doojax.experiments.prose import command_faults, with_figures
-from doojax.experiments.reports import Row, Summary, read_summary, write_whole
+from doojax.experiments.reports import Row, Summary, read_summary
+from doojax.files import write_whole
 
 OPENING = re.compile(r"<!-- results:([\w/-]+):(\w+(?:,\w+)*) -->")
 CLOSING = "<!-- /results -->"

@@ -12,6 +12,7 @@ from doojax.commands import command_line
 from doojax.datasets.progress import progress_bar
 from doojax.experiments.curves import draw_curves
 from doojax.experiments.provenance import digests, note_command
+from doojax.files import alone_in
 from doojax.learning import train as learning
 from doojax.learning.fit import Report
 from doojax.learning.presets import PresetName
@@ -60,8 +61,8 @@ def train(
         wanted = "two data sets, one of each phase" if what == "full_dynamics" else "one data set"
         raise ValueError(f"{what} learns from {wanted}; {len(data)} were named")
     command = command_line(train, locals())
-    console = Console(stderr=True)
-    with training_progress(console, what) as report:
+    console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    with alone_in(out), training_progress(console, what) as report:
         common: dict[str, Any] = {"preset": preset, "epochs": epochs, "seed": seed, "report": report}
         if what == "dynamics":
             header = learning.train_dynamics(data[0], out, **common)
@@ -79,8 +80,8 @@ def train(
     inputs = {**files, "dynamics": dynamics, "classifier": classifier}
     note_command(out, command, seed, digests(inputs))
     for name, value in header.about.items():
-        console.print(f"{name}: {value}", highlight=False)
-    console.print(f"{out / 'model.eqx'} and {out / CURVES} are written", highlight=False)
+        console.print(f"{name}: {value}")
+    console.print(f"{out / 'model.eqx'} and {out / CURVES} are written")
 
 
 def _named(path: Path | None, otherwise: str) -> Path:

@@ -42,6 +42,7 @@ CRASHED = "crashed"
 NOT_EXECUTED = "the plan was not to be executed"
 NOT_WANTED = "not wanted"
 STUCK = "stuck, and there is no recovery"
+MOST = 1_000_000  # searches or actions
 BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
 MODEL = "model/"  # before the names of model fields, which carry another rope
@@ -75,8 +76,8 @@ class TrialSettings:
     def __post_init__(self):
         """Refuse what tries nothing."""
         for name in ("searches", "actions"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected at least 1")
+            if not 1 <= getattr(self, name) <= MOST:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 1 to {MOST:,}")
         if self.replan_distance is not None and not self.replan_distance > 0:
             raise ValueError(f"replan_distance is {self.replan_distance}, expected a positive length (m)")
 

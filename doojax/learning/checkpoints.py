@@ -3,23 +3,33 @@
 A model's file is named model.eqx by convention and may be moved or sent alone.
 """
 
+import io
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import PyTree
+from msgspec import Meta
 
-from doojax.datasets.files import flush
+from doojax.files import whole_file
 from doojax.models.builders import BUILDERS
+from doojax.reading import checked, parsed
 
 FORMAT, FORMAT_VERSION = "doojax model", 1
 MODEL = "model.eqx"
+# What the figures in a header must be where they are there.
+ABOUT: dict[str, Any] = {
+    "threshold_m": Annotated[float, Meta(gt=0)],
+    "preset": str,
+    "seed": int,
+    "labels": dict[str, Any],
+    "conformal_thresholds": dict[str, float],
+}
 
 
 @dataclass(frozen=True)
@@ -89,17 +99,33 @@ def read_header(path: Path) -> tuple[Header, dict[str, str]]:
     if not path.exists():
         raise FileNotFoundError(f"there is no model at {path}")
     text = read_json_line(path)
-    if text is None or text.get("format") != FORMAT:
+    if text is None or text.pop("format", None) != FORMAT:
         raise ValueError(f"{path} is not a model of doojax: its first line does not say so")
-    if text["format_version"] != FORMAT_VERSION:
+    version = text.pop("format_version", None)
+    if version != FORMAT_VERSION:
         raise ValueError(
-            f"{path} has format version {text['format_version']}, this doojax reads {FORMAT_VERSION}: "
+            f"{path} has format version {version!r}, this doojax reads {FORMAT_VERSION}: "
             "train it again, or use another doojax"
         )
     try:
-        return Header(*(text[name] for name in ("kind", "task", "config", "about"))), dict(text["arrays"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} has a damaged header ({error!r})") from error
+        arrays = checked(text.pop("arrays", None), dict[str, str], "arrays")
+        header = checked(text, Header)
+        for name, kind in ABOUT.items():
+            if name in header.about:
+                checked(header.about[name], kind, name)
+    except ValueError as error:
+        raise ValueError(f"{path} has a damaged header: {error}") from error
+    return header, arrays
+
+
+def own_threshold(header: Header, path: Path) -> float:
+    """The threshold (m) of the model error that was found when dynamics were trained.
+
+    Raises ValueError where the model does not say.
+    """
+    if "threshold_m" not in header.about:
+        raise ValueError(f"{path} does not say the threshold of its error (threshold_m): train it again")
+    return float(header.about["threshold_m"])
 
 
 def build(header: Header, path: Path) -> PyTree:
@@ -111,7 +137,7 @@ def build(header: Header, path: Path) -> PyTree:
     make: Callable[[dict[str, Any]], PyTree] = BUILDERS[header.kind]
     try:
         return eqx.filter_eval_shape(make, header.config)
-    except (TypeError, KeyError) as error:
+    except (ValueError, TypeError, OverflowError) as error:  # sizes that fit the schema, but not each other
         raise ValueError(f"{path}: no {header.kind} can be built from {header.config}: {error}") from error
 
 
@@ -127,24 +153,18 @@ def shapes(tree: PyTree) -> dict[str, str]:
 
 def write_leaves(path: Path, header: dict[str, Any], tree: PyTree) -> None:
     """Write a line of JSON and a pytree's leaves to a file that is whole or absent."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
-        with temporary.open("wb") as file:
-            file.write(json.dumps(header, allow_nan=False).encode() + b"\n")
-            eqx.tree_serialise_leaves(file, tree)
-        flush(temporary)
-        temporary.replace(path)
-        flush(path.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
+    leaves = io.BytesIO()  # numpy, writing to a real file, does not say why it cannot
+    eqx.tree_serialise_leaves(leaves, tree)
+    with whole_file(path) as file:
+        file.write(json.dumps(header, allow_nan=False).encode() + b"\n")
+        file.write(leaves.getbuffer())
 
 
 def read_json_line(path: Path) -> dict[str, Any] | None:
     """The first line of a file, if it is a JSON object."""
     with path.open("rb") as file:
         try:
-            text = json.loads(file.readline(1_000_000))
+            text = parsed(file.readline(1_000_000))
         except ValueError:
             return None
     return text if isinstance(text, dict) else None
@@ -155,12 +175,19 @@ def read_leaves(path: Path, like: PyTree) -> PyTree:
 
     Raises ValueError for a truncated or altered file.
     """
+    sizes = [leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(like) if hasattr(leaf, "dtype")]
+    if sum(sizes) > path.stat().st_size:
+        raise ValueError(
+            f"{path} is damaged: it has {path.stat().st_size} bytes, fewer than its arrays' {sum(sizes)}"
+        )
     with path.open("rb") as file:
         file.readline()
         try:
             tree = eqx.tree_deserialise_leaves(file, like)
-        except (RuntimeError, ValueError, EOFError, OSError) as error:
-            raise ValueError(f"{path} is damaged: {str(error).splitlines()[0]}") from error
+        except Exception as error:  # damaged bytes end anywhere in numpy
+            raise ValueError(
+                f"{path} is damaged: {(str(error) or type(error).__name__).splitlines()[0]}"
+            ) from error
         if file.read(1):
             raise ValueError(f"{path} is damaged: there is more in it than the model's arrays")
     return tree

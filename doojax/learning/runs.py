@@ -2,6 +2,7 @@
 
 import json
 import platform
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ import jax
 from jaxtyping import PyTree
 
 import doojax
-from doojax.datasets.files import describe_contents, write_atomically
+from doojax.files import claim, room_explained, write_whole
 from doojax.learning.checkpoints import MODEL, Header, read_json_line, read_leaves, save_model, write_leaves
+from doojax.reading import checked, parsed, read_lines
 
 CONFIG, ENVIRONMENT, METRICS, LAST = "config.json", "environment.json", "metrics.jsonl", "last.eqx"
 
@@ -35,26 +37,9 @@ class RunDirectory:
             ValueError: for a folder that holds something else, naming what differs.
         """
         path = Path(path)
-        config = json.loads(json.dumps(config, allow_nan=False))
-        if (path / CONFIG).exists():
-            old = json.loads((path / CONFIG).read_text(encoding="utf-8"))
-            changed = [
-                f"{name}: {old.get(name)!r} -> {config.get(name)!r}"
-                for name in {**old, **config}
-                if old.get(name) != config.get(name)
-            ]
-            if changed:
-                raise ValueError(
-                    f"{path} holds another run (old -> new):\n  " + "\n  ".join(changed) + "\n"
-                    "choose another folder, or train with the old settings to go on with it"
-                )
-        elif path.exists() and (not path.is_dir() or any(path.iterdir())):
-            held = describe_contents(path) if path.is_dir() else "a file"
-            raise ValueError(f"{path} is not a run: it holds {held}; choose a new or empty folder")
-        else:
-            path.mkdir(parents=True, exist_ok=True)
-            write_atomically(path / ENVIRONMENT, json.dumps(environment(), indent=2) + "\n")
-            write_atomically(path / CONFIG, json.dumps(config, indent=2) + "\n")
+        claim(path, CONFIG, config, "run", leftovers=(ENVIRONMENT,))
+        if not (path / ENVIRONMENT).exists():
+            write_whole(path / ENVIRONMENT, json.dumps(environment(), indent=2) + "\n")
         return cls(path)
 
     @property
@@ -64,14 +49,22 @@ class RunDirectory:
 
     @property
     def metrics(self) -> list[dict[str, Any]]:
-        """What was logged, one dict per epoch."""
-        file = self.path / METRICS
-        lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-        return [json.loads(line) for line in lines]
+        """What was logged, one dict per epoch; not a line that is being written, or that a kill cut off.
+
+        Raises ValueError where the file is damaged.
+        """
+        lines = read_lines(self.path / METRICS, dict[str, int | float | list[float]], "an epoch's figures")
+        for number, line in enumerate(lines, start=1):
+            if line.keys() != {"epoch", *lines[0]} or not isinstance(line["epoch"], int):
+                raise ValueError(
+                    f"{self.path / METRICS}, line {number}, has {', '.join(line)}; expected epoch and what "
+                    f"line 1 has: {', '.join(lines[0])}"
+                )
+        return lines
 
     def log(self, record: dict[str, Any]) -> None:
         """Append one epoch's figures."""
-        with (self.path / METRICS).open("a", encoding="utf-8") as file:
+        with room_explained(self.path), (self.path / METRICS).open("a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
 
     def save(self, epoch: int, state: PyTree) -> None:
@@ -83,20 +76,23 @@ class RunDirectory:
         epoch, state = 0, start
         if (self.path / LAST).exists():
             header = read_json_line(self.path / LAST)
-            if header is None or not isinstance(header.get("epoch"), int):
+            epoch = (header or {}).get("epoch")
+            if not isinstance(epoch, int) or epoch < 0:
                 raise ValueError(f"{self.path / LAST} is damaged: delete it to train from the start")
-            epoch, state = header["epoch"], read_leaves(self.path / LAST, start)
-        whole = []
-        if (self.path / METRICS).exists():
-            for line in (self.path / METRICS).read_text(encoding="utf-8").splitlines():
-                try:
-                    record = json.loads(line)
-                except ValueError:  # killed while writing it
-                    break
-                if record["epoch"] <= epoch:
-                    whole.append(line)
-        write_atomically(self.path / METRICS, "".join(f"{line}\n" for line in whole))
+            state = read_leaves(self.path / LAST, start)
+        write_whole(self.path / METRICS, "".join(f"{line}\n" for line in self._lines_until(epoch)))
         return epoch, state
+
+    def _lines_until(self, epoch: int) -> Iterator[str]:
+        """The lines of the epochs up to one, as far as they are whole."""
+        file = self.path / METRICS
+        for line in file.read_bytes().splitlines() if file.exists() else []:
+            try:
+                logged = checked(parsed(line), dict[str, Any]).get("epoch")
+            except ValueError:  # killed while writing it
+                return
+            if isinstance(logged, int) and logged <= epoch:
+                yield line.decode()
 
     def finish(self, header: Header, model: PyTree) -> None:
         """Write the model, after which the run counts as finished."""

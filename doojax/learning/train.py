@@ -9,11 +9,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from doojax.datasets.files import MANIFEST, file_digest
+from doojax.datasets.files import MANIFEST
 from doojax.datasets.store import Dataset
+from doojax.files import file_digest
 from doojax.keys import stream
 from doojax.learning.calibration import conformal_threshold, fit_calibration
-from doojax.learning.checkpoints import MODEL, Header, load_model
+from doojax.learning.checkpoints import MODEL, Header, load_model, own_threshold
 from doojax.learning.data import load_split, open_dataset
 from doojax.learning.fit import Report, fit, member
 from doojax.learning.full_dynamics import FullDynamicsProblem, windows
@@ -196,7 +197,7 @@ def judged_data(data: Path, dynamics: Path, threshold: float | None) -> tuple[Da
         )
     ensemble, header = load_model(dynamics, task=name, kind="dynamics")
     if threshold is None:
-        threshold = float(header.about["threshold_m"])
+        threshold = own_threshold(header, dynamics)
     if not threshold > 0:
         raise ValueError(f"the threshold of the error is {threshold}, expected a positive length (m)")
     return dataset, ensemble, make_task(name), threshold

@@ -1,6 +1,10 @@
-"""How each kind of model is built from the config in its file's header."""
+"""How each kind of model is built from the config in its file's header.
+
+All raise ValueError for a config that is not as it has to be, saying where.
+"""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -11,38 +15,45 @@ from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble
 from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
-from doojax.models.rasters import ViewConfig
 from doojax.models.recovery import RecoveryNetwork
 from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
+from doojax.reading import checked
+from doojax.types import Size
+
+
+@dataclass(frozen=True)
+class Members:
+    """How many networks an ensemble has."""
+
+    members: Size
 
 
 def dynamics(config: Mapping[str, Any]) -> Ensemble:
     """An `Ensemble`; config: members, and the fields of `DynamicsConfig`."""
-    network = DynamicsConfig(**{name: value for name, value in config.items() if name != "members"})
-    keys = jax.random.split(stream(0, "structure"), config["members"])
+    members = checked({"members": config.get("members")}, Members).members
+    network = checked({name: config[name] for name in config if name != "members"}, DynamicsConfig)
+    keys = jax.random.split(stream(0, "structure"), members)
     return Ensemble(eqx.filter_vmap(lambda key: UnconstrainedDynamics(network, key=key))(keys))
 
 
 def classifier(config: Mapping[str, Any]) -> DistanceClassifier:
     """A `DistanceClassifier`; config: the fields of `ClassifierConfig`."""
-    return DistanceClassifier(ClassifierConfig(**config), key=stream(0, "structure"))
+    return DistanceClassifier(checked(config, ClassifierConfig), key=stream(0, "structure"))
 
 
 def recovery(config: Mapping[str, Any]) -> RecoveryNetwork:
     """A `RecoveryNetwork`; config: the fields of `ClassifierConfig`."""
-    return RecoveryNetwork(ClassifierConfig(**config), key=stream(0, "structure"))
+    return RecoveryNetwork(checked(config, ClassifierConfig), key=stream(0, "structure"))
 
 
 def full_dynamics(config: Mapping[str, Any]) -> FullDynamics:
     """A `FullDynamics`; config: the fields of `FullDynamicsConfig`, those of its view in a dict."""
-    network = FullDynamicsConfig(**{**config, "view": ViewConfig(**config["view"])})
-    return FullDynamics(network, key=stream(0, "structure"))
+    return FullDynamics(checked(config, FullDynamicsConfig), key=stream(0, "structure"))
 
 
 def voxel_classifier(config: Mapping[str, Any]) -> VoxelClassifier:
     """A `VoxelClassifier`; config: the fields of `VoxelClassifierConfig`, those of its view in a dict."""
-    network = VoxelClassifierConfig(**{**config, "view": ViewConfig(**config["view"])})
-    return VoxelClassifier(network, key=stream(0, "structure"))
+    return VoxelClassifier(checked(config, VoxelClassifierConfig), key=stream(0, "structure"))
 
 
 BUILDERS: Mapping[str, Callable[[dict[str, Any]], Any]] = {

@@ -18,7 +18,7 @@ from doojax.geometry.sdf import signed_distance_and_gradient
 from doojax.models.calibration import CalibratedClassifier, Calibration
 from doojax.models.local import Origin, local_frame
 from doojax.modules import Jittable
-from doojax.types import Obstacles, RopeState
+from doojax.types import Depth, Obstacles, RopeState, Size
 
 NEAR, FAR = 0.02, 0.1  # m: the two scales on which distances are seen
 
@@ -27,11 +27,11 @@ NEAR, FAR = 0.02, 0.1  # m: the two scales on which distances are seen
 class ClassifierConfig:
     """What a `DistanceClassifier` is built from."""
 
-    grippers: int
+    grippers: Size
     origin: Origin
-    width: int = 64
-    layers: int = 2  # convolutions along the chain
-    moments: int = 3  # of the motion, first and last included
+    width: Size = 64
+    layers: Depth = 2  # convolutions along the chain
+    moments: Depth = 3  # of the motion, first and last included
     midpoints: bool = True  # between neighbours of the chain, too
 
     @property

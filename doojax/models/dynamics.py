@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from doojax.models.local import LocalFrame, Origin, Symmetry, flat, local_frame, unflat
 from doojax.modules import Jittable
-from doojax.types import Obstacles, RopeState
+from doojax.types import Depth, Obstacles, RopeState, Size
 
 SMALLEST_SCALE = 0.03  # m: what varies less is not blown up, lest small errors look large a step later
 
@@ -19,11 +19,11 @@ SMALLEST_SCALE = 0.03  # m: what varies less is not blown up, lest small errors 
 class DynamicsConfig:
     """What an `UnconstrainedDynamics` is built from."""
 
-    points: int  # along the rope
-    grippers: int
+    points: Size  # along the rope
+    grippers: Size
     origin: Origin
-    width: int = 1024
-    depth: int = 2  # hidden layers
+    width: Size = 1024
+    depth: Depth = 2  # hidden layers
     symmetry: Symmetry = "translation"
     heading_fold: int = 0
     """In a canonical frame, motion is the same after turns of the world by 2 pi / this many; 0: by any.

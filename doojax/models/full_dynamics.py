@@ -16,18 +16,18 @@ from doojax.models.ensemble import with_first
 from doojax.models.local import flat, local_origin, unflat
 from doojax.models.rasters import Encoder, ViewConfig
 from doojax.modules import Jittable
-from doojax.types import Obstacles, RopeState
+from doojax.types import Obstacles, RopeState, Size
 
 
 @dataclass(frozen=True)
 class FullDynamicsConfig:
     """What a `FullDynamics` is built from."""
 
-    points: int  # along the rope
+    points: Size  # along the rope
     view: ViewConfig
-    width: int = 200  # of the layers that see state and action
-    scene_width: int = 32  # of those that see the scene
-    scene_size: int = 5  # numbers that the scene is condensed to
+    width: Size = 200  # of the layers that see state and action
+    scene_width: Size = 32  # of those that see the scene
+    scene_size: Size = 5  # numbers that the scene is condensed to
 
     @property
     def state_size(self) -> int:

@@ -17,7 +17,7 @@ from doojax.geometry.sdf import signed_distance
 from doojax.geometry.voxels import Grid, inverse_log_raster
 from doojax.models.local import Origin, local_origin
 from doojax.modules import Jittable
-from doojax.types import Obstacles, RopeState
+from doojax.types import Depth, Obstacles, RopeState, Size
 
 SHARPNESS = 2000.0  # per square metre: a raster falls to one half at 1.9 cm
 
@@ -26,17 +26,17 @@ SHARPNESS = 2000.0  # per square metre: a raster falls to one half at 1.9 cm
 class ViewConfig:
     """What an `Encoder` sees, and how large it is. `view` has those of the two tasks."""
 
-    grippers: int
+    grippers: Size
     origin: Origin
-    across: int  # voxels along x and along y
-    up: int  # voxels along z
+    across: Size  # voxels along x and along y
+    up: Size  # voxels along z
     resolution: float  # edge of a voxel, m
     raster: Literal["gaussian", "inverse log"] = "gaussian"
     """exp(-2000 d^2), d metres to the component's nearest point (code), or what the text asks for."""
-    layers: int = 3  # of convolutions
-    channels: int = 26  # of every layer
-    kernel_up: int = 3  # voxels along z; along x and y a kernel has 3
-    pool_up: int = 2  # along z; along x and y 2
+    layers: Depth = 3  # of convolutions
+    channels: Size = 26  # of every layer
+    kernel_up: Size = 3  # voxels along z; along x and y a kernel has 3
+    pool_up: Size = 2  # along z; along x and y 2
 
     def __post_init__(self):
         """Refuse a grid of which the convolutions leave nothing."""

@@ -10,16 +10,16 @@ from jaxtyping import Array, Float
 from doojax.models.calibration import CalibratedClassifier, Calibration
 from doojax.models.local import flat, local_origin
 from doojax.models.rasters import Encoder, ViewConfig
-from doojax.types import Obstacles, RopeState
+from doojax.types import Obstacles, RopeState, Size
 
 
 @dataclass(frozen=True)
 class VoxelClassifierConfig:
     """What a `VoxelClassifier` is built from."""
 
-    points: int  # along the rope
+    points: Size  # along the rope
     view: ViewConfig
-    width: int = 128  # of the layer behind the encoder, and of the recurrent one
+    width: Size = 128  # of the layer behind the encoder, and of the recurrent one
 
     @property
     def vectors(self) -> int:

@@ -16,3 +16,4 @@ from doojax.planning.tree import Problem as Problem
 from doojax.planning.tree import Tree as Tree
 from doojax.planning.tree import check_problem as check_problem
 from doojax.planning.tree import plan_of as plan_of
+from doojax.planning.tree import require_reachable as require_reachable

@@ -34,6 +34,11 @@ AT_ONCE = 64  # expansions in one call
 PARTS = 2  # of the lanes, that begin anew one after another
 
 
+# Beyond these, arrays would not fit into any memory.
+MOST = {"lanes": 16_384, "extensions": 4_000_000, "duration": 10_000, "candidates": 4096}
+MOST |= {"stuck_after": 4_000_000, "shortcuts": 1000}
+
+
 @dataclass(frozen=True)
 class RrtSettings:
     """How a tree is grown."""
@@ -50,11 +55,10 @@ class RrtSettings:
 
     def __post_init__(self):
         """Refuse what plans nothing."""
-        for name in ("lanes", "extensions", "duration", "candidates", "stuck_after"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected at least 1")
-        if self.shortcuts < 0:
-            raise ValueError(f"shortcuts is {self.shortcuts}, expected 0 or more")
+        for name, most in MOST.items():
+            least = 0 if name == "shortcuts" else 1
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected {least} to {most:,}")
         for name in ("goal_bias", "random_accept", "goal_margin"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to 1")

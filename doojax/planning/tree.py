@@ -4,7 +4,6 @@ from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -55,15 +54,9 @@ def check_problem(task: Task, problem: Problem) -> None:
     """Refuse one problem that nobody could solve.
 
     Raises:
-        ValueError: the goal lies outside of the task's workspace, or the start inside an obstacle.
+        ValueError: the goal cannot be reached, see `require_reachable`, or the start is inside an obstacle.
     """
-    for target in np.asarray(problem.goal.targets):
-        if not bool(task.workspace.contains(jnp.asarray(target))):
-            place = [round(float(value), 3) for value in target]
-            raise ValueError(
-                f"the goal {place} lies outside of the workspace of {task.name}: "
-                f"expected a point between {task.workspace.low} and {task.workspace.high} (m)"
-            )
+    require_reachable(task, *jax.tree.map(lambda leaf: leaf[None], (problem.obstacles, problem.goal)))
     distance = np.asarray(signed_distance(problem.obstacles, bodies_of(problem.start)))
     if not (distance > 0).all():
         body = int(np.argmin(distance))
@@ -73,6 +66,48 @@ def check_problem(task: Task, problem: Problem) -> None:
             f"the scene is in collision at the start: {name} is {-100 * distance[body]:.1f} cm inside an "
             "obstacle; move the rope or the obstacle"
         )
+
+
+def require_reachable(task: Task, obstacles: Obstacles, goals: Goal) -> None:
+    """Refuse goals, a batch [B] of them and of what is in their way, that nothing could reach.
+
+    Raises:
+        ValueError: a target lies outside of the task's workspace or inside an obstacle, or two targets are
+            farther apart than the rope between the bodies that are to reach them is long.
+    """
+    targets, tolerance = np.asarray(goals.targets), np.asarray(goals.tolerance)
+    inside = np.asarray(task.workspace.contains(goals.targets))
+    depth = -np.asarray(jax.jit(jax.vmap(signed_distance))(obstacles, goals.targets))
+    along = _along_rope(task)
+    reach = np.abs(along[:, None] - along)
+    for goal, bodies in enumerate(np.asarray(goals.bodies)):
+        for one, target in enumerate(targets[goal]):
+            place = [round(float(value), 3) for value in target]
+            if not inside[goal, one]:
+                raise ValueError(
+                    f"the goal {place} lies outside of the workspace of {task.name}: "
+                    f"expected a point between {task.workspace.low} and {task.workspace.high} (m)"
+                )
+            if depth[goal, one] > 0:
+                raise ValueError(
+                    f"the goal {place} lies {100 * depth[goal, one]:.1f} cm inside an obstacle: expected a "
+                    "point that is free"
+                )
+            for other in range(one):
+                apart = float(np.linalg.norm(target - targets[goal, other]))
+                longest = float(reach[np.ix_(bodies[one], bodies[other])].max())
+                if apart > longest + 2 * tolerance[goal]:
+                    raise ValueError(
+                        f"the goal {place} and another are {apart:.2f} m apart, expected at most "
+                        f"{longest:.2f} m: the rope between what is to reach them is not longer"
+                    )
+
+
+def _along_rope(task: Task) -> Float[np.ndarray, "NG"]:
+    """Where along the rope (m) its points are, and what the grippers hold."""
+    links = task.scene.rope_model.links
+    held = [gripper.link + gripper.end / 2 for gripper in task.scene.grippers]
+    return (np.array([*range(links), *held]) + 0.5) * task.scene.rope.length / links
 
 
 def plan_of(tree: Tree) -> Plan:

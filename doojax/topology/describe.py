@@ -14,7 +14,7 @@ A location is a fraction of the rope. A path leads from the base, which it does 
 attachment; it may be empty, and "attachments" may be left out.
 """
 
-import json
+import sys
 from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +23,7 @@ import jax
 import numpy as np
 
 from doojax.geometry.rounding import LostDigits
+from doojax.reading import checked, parsed, read_text
 from doojax.topology import grasp_loops
 from doojax.topology.grasp_loops import Grasps, Holder, loops_of, make_grasps
 from doojax.topology.linking import Points, check_points, linking_of
@@ -31,6 +32,7 @@ from doojax.topology.skeletons import Skeleton, make_skeleton
 THREADING = Path(__file__).with_name("threading.json")
 """An example: a cable through three fixtures, plugged in at one end and held by two grippers."""
 
+Point = tuple[float, float, float]
 _FIELDS = {"skeleton", "rope", "base", "grippers", "attachments"}
 
 
@@ -54,18 +56,21 @@ def read_scene(file: Path | str) -> Scene:
     """
     file = Path(file)
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = parsed(read_text(file))
         content: dict[str, Any] = {"attachments": {}} | _fields_of(
             content, "the scene", _FIELDS, optional={"attachments"}
         )
         grippers, attachments = (
             {
-                name: Holder(**_fields_of(item, f"{kind} {name!r}", {"location", "path"}))
+                name: _holder(item, f"{kind} {name!r}")
                 for name, item in _named(content[f"{kind}s"], kind).items()
             }
             for kind in ("gripper", "attachment")
         )
-        parts = _named(content["skeleton"], "skeleton loop"), content["rope"], content["base"]
+        loops = _named(content["skeleton"], "skeleton loop")
+        loops = {name: checked(loop, list[Point], f"skeleton loop {name!r}") for name, loop in loops.items()}
+        base = checked(content["base"], Point, "the base")
+        parts = loops, checked(content["rope"], list[Point], "the rope"), base
         try:
             return _scene(*parts, grippers, attachments)
         except LostDigits:
@@ -132,8 +137,23 @@ def signature(file: Path, /, *, keep_empty: bool = False) -> None:
             number = int(pairs.number[place, other])
             lines.append(f"  {name}: {f'{number:+d}' if number else '0'}, {margin:.4f} m away")
     compute = jax.jit(grasp_loops.signature, static_argnames="remove_empty")
-    print(compute(scene.grasps, scene.skeleton, remove_empty=not keep_empty))
+    text = str(compute(scene.grasps, scene.skeleton, remove_empty=not keep_empty))
+    print(text.replace("∅", "{}") if _lacks(sys.stdout.encoding, "∅") else text)
     print(*(lines or ["no grasp loops"]), sep="\n")
+
+
+def _lacks(encoding: str | None, letter: str) -> bool:
+    try:
+        letter.encode(encoding or "utf-8")
+    except UnicodeEncodeError:
+        return True
+    return False
+
+
+def _holder(item: Any, name: str) -> Holder:
+    fields = _fields_of(item, name, {"location", "path"})
+    location = checked(fields["location"], float, f"the location of {name}")
+    return Holder(location, checked(fields["path"], list[Point], f"the path of {name}"))
 
 
 def _named(items: Any, kind: str) -> Mapping[str, Any]:

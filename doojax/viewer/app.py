@@ -48,7 +48,9 @@ def view(path: tyro.conf.Positional[Path], /, *, host: str = "127.0.0.1", port: 
     console.print(text, highlight=False, markup=False)
     if not is_loopback(host):
         console.print(
-            f"[yellow]Bound to {host}: everybody who can reach this machine can look, no password.[/]"
+            f"Bound to {host}: everybody who can reach this machine can look, no password.",
+            style="yellow",
+            markup=False,
         )
     try:
         threading.Event().wait()

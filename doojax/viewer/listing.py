@@ -1,13 +1,11 @@
 """What there is to show at a path."""
 
-import json
-import zipfile
 from pathlib import Path
 
-import numpy as np
-
-from doojax.datasets.files import MANIFEST, describe_contents
+from doojax.datasets.files import MANIFEST
+from doojax.files import describe_contents
 from doojax.learning.runs import CONFIG, METRICS
+from doojax.reading import read_header
 
 MOST_ITEMS = 2000  # in the page's list
 EXPECTATION = (
@@ -66,13 +64,12 @@ def kind_of(path: Path) -> str:
     if path.is_dir():
         return "data set" if is_dataset(path) else "training run"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            header = json.loads(file["header"].tobytes())
+        header = read_header(path, "a record")
         if header["format"] == "doojax trial":
             ends = [event["text"] for event in header["events"] if event["kind"] == "end"]
-            return ends[-1] if ends else "no end"
+            return str(ends[-1]) if ends else "no end"
         return str(header["format"]).removeprefix("doojax ")
-    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile):
+    except (ValueError, KeyError, TypeError, OSError):
         return "cannot be read"
 
 

@@ -56,16 +56,22 @@ class Server(viser.ViserServer):
 def start_server(host: str, port: int) -> Server:
     """Bind a server to an address.
 
-    Raises OSError where the address does not exist or the port is taken.
+    Raises:
+        ValueError: for a port that no machine has, or no address.
+        OSError: the address does not exist, or the port is taken.
     """
+    if not 0 <= port <= 65535:
+        raise ValueError(f"the port is {port}, expected 0 to 65535")
+    if not host.strip():
+        raise ValueError("the host is empty; name the address to bind to, such as 127.0.0.1")
     # viser would try a thousand ports, and wait for ever where none can be had
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
-        except OSError as error:
-            problem = f"cannot serve on {host}, port {port}: {error.strerror}"
+        except (OSError, UnicodeError) as error:  # UnicodeError: a name that no address can have
+            problem = f"cannot serve on {host}, port {port}: {getattr(error, 'strerror', None) or error}"
             raise OSError(f"{problem}; choose another with --host or --port") from error
     with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
         server = Server(host=host, port=port, label="doojax", verbose=False)

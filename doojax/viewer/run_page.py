@@ -1,10 +1,11 @@
 """A training run in the page: its curves, and what it was made with."""
 
-import json
+from typing import Any
 
 import numpy as np
 
 from doojax.learning.runs import CONFIG, METRICS, RunDirectory
+from doojax.reading import read_json
 from doojax.viewer.page import Page
 from doojax.viewer.plots import add_epoch_plot
 from doojax.viewer.text import listed, plain
@@ -18,13 +19,13 @@ class RunPage:
 
     def __init__(self, page: Page, run: RunDirectory):
         """Show the curves of all networks that were trained side by side."""
+        epochs = run.metrics
+        config = read_json(run.path / CONFIG, dict[str, Any], "the config of a run")
+        names = [name for name in epochs[0] if name != "epoch"] if epochs else []
         try:
-            epochs = run.metrics
-            config = json.loads((run.path / CONFIG).read_text(encoding="utf-8"))
-            names = [name for name in epochs[0] if name != "epoch"] if epochs else []
             curves = {name: np.array([np.atleast_1d(e[name]) for e in epochs], float) for name in names}
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{run.path / METRICS} or {CONFIG} beside it cannot be read: {error}") from error
+        except ValueError as error:  # more networks in one epoch than in another
+            raise ValueError(f"{run.path / METRICS} cannot be read: {error}") from error
         if not epochs:
             raise ValueError(f"{run.path} is empty: no epoch has been trained yet")
         if not run.finished:

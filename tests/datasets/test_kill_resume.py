@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from doojax.datasets import Dataset, files, writer
+from doojax import files
+from doojax.datasets import Dataset, writer
 
 from . import example_collection
 from .example_collection import SCHEMA, collect, folder_bytes, open_writer, shard_arrays

@@ -178,7 +178,7 @@ def test_one_shard_larger_than_the_collection(tmp_path):
 def test_another_collection_is_refused_naming_what_differs(stored, options, difference):
     path, _ = stored
     before = folder_bytes(path)
-    with pytest.raises(ValueError, match=rf"another collection \(old -> new\):\n  (.*\n  )*{difference}\n"):
+    with pytest.raises(ValueError, match=rf"another data set \(old -> new\):\n  (.*\n  )*{difference}\n"):
         open_writer(path, **options)
     assert folder_bytes(path) == before
 
@@ -355,10 +355,10 @@ def test_what_is_no_data_set(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", r"manifest\.json cannot be read as a data set's manifest"),
-        ("[]", r"manifest\.json cannot be read as a data set's manifest"),
+        ("{", r"manifest\.json is not a data set's manifest"),
+        ("[]", r"manifest\.json is not a data set's manifest"),
         ('{"format": "photo album"}', "'photo album', expected 'doojax dataset'"),
-        ('{"format": "doojax dataset", "format_version": 1}', "KeyError"),
+        ('{"format": "doojax dataset", "format_version": 1}', "it lacks config"),
         (
             '{"format": "doojax dataset", "format_version": 7}',
             "has format version 7, this doojax reads version 1: use a newer doojax",

@@ -181,11 +181,11 @@ def test_what_does_not_fit_is_refused(run, whole, scenes, tmp_path):
     shutil.copytree(whole, tmp_path / "older")
     config = tmp_path / "older" / "config.json"
     config.write_text(config.read_text().replace(TOY.scene.digest, "0123456789abcdef"))
-    with pytest.raises(ValueError, match=r"\n  scene: '0123456789abcdef' -> "):
+    with pytest.raises(ValueError, match=r'\n  scene: "0123456789abcdef" -> '):
         run(tmp_path / "older")
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "notes.txt").touch()
-    with pytest.raises(ValueError, match=r"is not an evaluation: it holds notes.txt"):
+    with pytest.raises(ValueError, match=r"holds no evaluation but notes.txt"):
         run(tmp_path / "b")
 
 

@@ -141,8 +141,8 @@ def test_a_simulation_that_breaks_down_ends_its_trial_alone(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
-        ("searches", 0, "searches is 0, expected at least 1"),
-        ("actions", 0, "actions is 0, expected at least 1"),
+        ("searches", 0, "searches is 0, expected 1 to 1,000,000"),
+        ("actions", 0, "actions is 0, expected 1 to 1,000,000"),
         ("replan_distance", 0.0, "replan_distance is 0.0, expected a positive length"),
     ],
 )

@@ -218,9 +218,9 @@ def test_a_simulator_outside_of_jit_grows_the_tree_that_it_grows_inside():
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
-        ("lanes", 0, "lanes is 0, expected at least 1"),
-        ("extensions", 0, "extensions is 0, expected at least 1"),
-        ("candidates", -1, "candidates is -1, expected at least 1"),
+        ("lanes", 0, "lanes is 0, expected 1 to 16,384"),
+        ("extensions", 0, "extensions is 0, expected 1 to 4,000,000"),
+        ("candidates", -1, "candidates is -1, expected 1 to 4,096"),
         ("random_accept", 1.5, "random_accept is 1.5, expected 0 to 1"),
     ],
 )

@@ -104,7 +104,7 @@ def test_what_is_not_accepted_is_no_shortcut():
 def test_none_are_tried_where_none_are_wanted():
     plan, tree, one = zigzag()
     assert shortened(rounds(0), one, tree, plan)[1] is plan
-    with pytest.raises(ValueError, match="shortcuts is -1, expected 0 or more"):
+    with pytest.raises(ValueError, match="shortcuts is -1, expected 0 to 1,000"):
         rounds(-1)
 
 
