@@ -8,6 +8,7 @@ import dataclasses
 import json
 import re
 import reprlib
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -76,6 +77,8 @@ def read_header(file: Path, what: str) -> Any:
 
 @contextmanager
 def _opened(file: Path, what: str) -> Iterator[np.lib.npyio.NpzFile]:
+    if file.is_file() and not zipfile.is_zipfile(file):  # of which numpy would say that it may be unpickled
+        raise ValueError(f"{file} is not {what} (it is no .npz archive)")
     try:
         with np.load(file, allow_pickle=False) as stored:
             yield stored

@@ -123,8 +123,8 @@ def _from_dataset(dataset: Dataset, number: int):
 
 def _from_failures(path: Path, number: int):
     what = "a data set or a file of saved failures"
+    content, stored = read_arrays(path, what)
     try:
-        content, stored = read_arrays(path, what)
         header = checked(content, FailuresHeader)
         _check_failures(header, stored)
     except ValueError as error:
