@@ -120,7 +120,8 @@ def watch(
     Returns:
         `clearance` at the first look, then the least in each period (m), its end included; and whether
         something entered an obstacle in the period by more than its own radius, or went right through: a
-        sample of `clearance`, moved straight from one look to the next, meets an obstacle.
+        sample of `clearance`, moved straight from one look to the next, meets an obstacle. The least is then
+        at most minus the radius, even if the looks saw it on either side.
     """
     points, radii = jax.vmap(jax.vmap(lambda one: _samples(scene, one)))(seen)  # [B, K, P, 3], [B, K, P]
     distance = jax.vmap(signed_distance)(obstacles, points)
@@ -134,10 +135,9 @@ def watch(
         lambda: jax.vmap(enters)(obstacles, points[:, :-1], points[:, 1:]).any(-1),
         lambda: jnp.zeros(near[:, 1:].shape, dtype=bool),
     )
-    return (
-        jnp.concatenate([near[:, :1], least], axis=1),
-        entered.reshape(len(near), periods, -1).any(-1),
-    )
+    entered = entered.reshape(len(near), periods, -1).any(-1)
+    least = jnp.where(entered, jnp.minimum(least, -radii.min((1, 2))[:, None]), least)
+    return jnp.concatenate([near[:, :1], least], axis=1), entered
 
 
 def look_every(scene: Scene) -> int:
