@@ -41,9 +41,15 @@ def in_threads[T, R](function: Callable[[T], R], items: Iterable[T], threads: in
 def worth_parts(size: int, batch: Any, *others: Any) -> bool:
     """Is ``batch`` larger than a part, and a call of `in_parts` wise?
 
-    It is not on an accelerator, nor while JAX traces: ``others`` is what else might be traced.
+    It is not on an accelerator, nor for a batch that is spread over devices already, nor while JAX traces:
+    ``others`` is what else might be traced.
     """
     leaves = jax.tree.leaves(batch)
+    if any(
+        isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer) and len(leaf.devices()) > 1
+        for leaf in leaves
+    ):
+        return False
     return not traced(batch, others) and len(leaves[0]) > size and jax.default_backend() == "cpu"
 
 

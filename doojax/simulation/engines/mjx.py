@@ -7,6 +7,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from doojax.parts import in_parts, worth_parts
@@ -14,7 +15,6 @@ from doojax.simulation.build import build_model
 from doojax.simulation.layout import (
     Layout,
     Observation,
-    clearance,
     gripper_targets,
     look_every,
     read_observation,
@@ -47,9 +47,11 @@ class MjxSimulator(eqx.Module):
         if impl == "warp":
             from doojax.simulation.engines.warp import warp_data, warp_model
 
-            self.model, self.data = warp_model(model), warp_data(scene, batch=1)
+            made = warp_model(model), warp_data(scene, batch=1)
         else:
-            self.model, self.data = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
+            made = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
+        # not committed to the device, unlike what MJX gives, lest states on other devices do not fit them
+        self.model, self.data = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), made)
 
     def reset(self, key: Array) -> SimState:
         """A start drawn from the task's distribution."""
@@ -59,8 +61,10 @@ class MjxSimulator(eqx.Module):
         """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
         return self._step(state, action)[0]
 
-    def _step(self, state: SimState, action: Float[Array, "G 3"]) -> tuple[SimState, Float[Array, ""]]:
-        """`step`, and the least clearance (m) on the way."""
+    def _step(
+        self, state: SimState, action: Float[Array, "G 3"]
+    ) -> tuple[SimState, Observation, Float[Array, "2"]]:
+        """`step`, the K looks on the way, and `clearance` (m) before it and the least in it."""
         hands = state.qpos[self.layout.gripper_qpos]
         targets = gripper_targets(self.scene, hands, state.commanded, action[:, : hands.shape[-1]])
         advance = MjxSimulator._advance
@@ -71,7 +75,7 @@ class MjxSimulator(eqx.Module):
         else:
             qpos, qvel, looks, dropped = advance(self, state, targets)
         alone = jax.tree.map(lambda leaf: leaf[None], (self.obstacles(state), looks))
-        ((_, near),), ((entered,),) = watch(self.scene, *alone, periods=1)
+        (near,), ((entered,),) = watch(self.scene, *alone, periods=1)
         faults = (
             find_faults(qpos, qvel)
             + jnp.where(dropped, int(Fault.CONTACTS_DROPPED), 0)
@@ -82,7 +86,7 @@ class MjxSimulator(eqx.Module):
             state,
             (qpos, qvel, targets[-1].astype(state.commanded.dtype), faults.astype(jnp.int32)),
         )
-        return after, near
+        return after, looks, near
 
     def _advance(
         self, state: SimState, targets: Float[Array, "S G D"]
@@ -142,17 +146,18 @@ class MjxSimulator(eqx.Module):
 
     def _rollout_one(self, state: SimState, actions: Float[Array, "T G 3"]) -> tuple[SimState, Trajectory]:
         def period(state, action):
-            after, near = self._step(state, action)
-            return after, (self.observation(after), near, after.faults)
+            after, looks, near = self._step(state, action)
+            ends = jax.tree.map(lambda leaf: leaf[jnp.array([0, -1])], looks)
+            return after, (ends, near, after.faults)
 
-        last, (seen, near, faults) = jax.lax.scan(period, state, actions)
-        begin = self.observation(state)
-        seen = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begin, seen)
+        last, (ends, near, faults) = jax.lax.scan(period, state, actions)
+        # of each period the state after it, and of the first the one before
+        seen, near = jax.tree.map(lambda leaf: jnp.concatenate([leaf[0, :1], leaf[:, 1]]), (ends, near))
         trajectory = Trajectory(
             states=seen.rope,
             actions=actions,
             faults=faults,
-            clearance=jnp.append(clearance(self.scene, self.obstacles(state), begin), near),
+            clearance=near,
             stretch=jax.vmap(lambda o: stretch(self.scene, state.holding, o))(seen),
         )
         return last, trajectory
