@@ -1,5 +1,8 @@
 """MJX and MuJoCo C run the same scenes to the same states."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -124,6 +127,37 @@ def test_an_element_that_blows_up_is_named_and_takes_no_other_along(scene, on_mu
     assert faulty.tolist() == [i == 3 for i in range(BATCH)]
     _, healthy = on_mujoco.rollout(states, actions)
     assert np.array_equal(seen.states.points[4:], healthy.states.points[4:])
+
+
+def test_methods_are_jitted_as_they_are(scene):
+    simulator = make_simulator(planar_scene(substeps=1), start=no_start, engine="mjx")
+    state = jax.tree.map(lambda leaf: leaf[0], straight_states(scene, 1))
+    assert jax.jit(simulator.obstacles)(state).centre.shape == (1, 3)
+    assert jax.jit(simulator.observe)(state).points.shape == (4, 3)
+    assert hash(simulator.step) == hash(simulator.step)
+    with pytest.raises(AssertionError, match="make their own starts"):
+        jax.jit(simulator.reset)(jax.random.key(0))  # it got as far as the start that these tests forbid
+
+
+SHARDED = """
+import jax, jax.numpy as jnp, numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from doojax.simulation.engines import make_simulator
+from tests.simulation.scenes import no_start, planar_scene, straight_states
+simulator = make_simulator(planar_scene(substeps=4), no_start, "mjx")
+states, actions = straight_states(simulator.scene, 32), jnp.full((32, 1, 1, 3), 0.01)
+alone = simulator.rollout(states, actions)[1].states.points
+spread = NamedSharding(Mesh(np.array(jax.devices()), ("batch",)), PartitionSpec("batch"))
+shared = simulator.rollout(*jax.device_put((states, actions), spread))[1].states.points
+assert len(shared.devices()) == 2
+np.testing.assert_allclose(np.asarray(shared), np.asarray(alone), atol=1e-5)
+"""
+
+
+@pytest.mark.slow
+def test_states_spread_over_devices_are_simulated_there():
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    subprocess.run([sys.executable, "-c", SHARDED], check=True, env={**os.environ, **flags}, timeout=600)
 
 
 def test_unknown_engines_are_refused_with_the_list(scene):

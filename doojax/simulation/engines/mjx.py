@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from doojax.modules import Jittable
 from doojax.parts import in_parts, worth_parts
 from doojax.simulation.build import build_model
 from doojax.simulation.layout import (
@@ -31,7 +32,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missin
 PART = 16  # elements that a thread simulates at once on a CPU
 
 
-class MjxSimulator(eqx.Module):
+class MjxSimulator(Jittable):
     """One scene on MJX; see `doojax.simulation.Simulator`."""
 
     model: mjx.Model
