@@ -16,6 +16,7 @@ from doojax.benchmarks.physics.cases import (
     fitted_frequency,
     state_of,
 )
+from doojax.benchmarks.physics.contact import capstan, plates
 from doojax.benchmarks.physics.energy import energy
 from doojax.benchmarks.physics.fall import fall
 from doojax.benchmarks.physics.friction import lying, pushed
@@ -121,3 +122,15 @@ def test_the_command_writes_what_it_found_and_names_what_it_does_not_know(tmp_pa
         bench.physics(("flow",), publish=tmp_path)
     with pytest.raises(ValueError, match="unknown task 'boats'"):
         bench.physics(("fall",), tasks=("boats",), publish=tmp_path)
+
+
+def test_a_rope_around_a_post_shows_its_friction():
+    found = next(capstan(Settings("default"), "mujoco", links=30))
+    assert found.tags["friction"] == 0.1
+    assert found.value == pytest.approx(0.1, rel=0.15)
+
+
+def test_a_slow_rope_is_stopped_by_a_thick_plate_and_a_fast_one_is_noticed():
+    fastest, unnoticed = plates(Settings("default"), "mujoco", thicknesses=(0.02,))
+    assert fastest.value >= 0.5
+    assert unnoticed.value == 0.0

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from doojax.benchmarks.physics import table
 from doojax.benchmarks.physics.cases import TASKS, Finding, Settings
+from doojax.benchmarks.physics.contact import capstan, edge, plates
 from doojax.benchmarks.physics.engines import SEED, random_data
 from doojax.benchmarks.physics.fall import fall
 from doojax.benchmarks.physics.friction import friction
@@ -35,6 +36,9 @@ GROUPS: dict[str, tuple[Group, tuple[str, ...]]] = {
     "cantilever": (cantilevers, SPATIAL),
     "twist": (twists, SPATIAL),
     "holding": (holding, SPATIAL),
+    "capstan": (capstan, SPATIAL),
+    "edge": (edge, SPATIAL),
+    "plates": (plates, SPATIAL),
     "random": (random_data, ("rope_dragging", "dual_gripper")),
 }
 
@@ -54,8 +58,8 @@ def physics(
     at the same time step: what is wrong in both is the model's fault.
 
     Args:
-        groups: which cases: swing, fall, friction, catenary, cantilever, twist, holding, random; all of them
-            by default.
+        groups: which cases: swing, fall, friction, catenary, cantilever, twist, holding, capstan, edge,
+            plates, random; all of them by default.
         engines: some of mujoco, mjx and warp. MJX compiles for up to a minute per scene.
         tasks: whose settings: rope_dragging, dual_gripper, or default for those of a plain scene.
         json: print the rows as JSON instead of a table.

@@ -18,7 +18,7 @@ from doojax.benchmarks.physics.cases import (
     state_of,
 )
 from doojax.benchmarks.physics.closed_forms import stopping_distance
-from doojax.benchmarks.physics.stepping import Stepper
+from doojax.benchmarks.physics.stepping import Stepper, mean_force
 from doojax.simulation.rope import RopeKind, RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Scene
 from doojax.tasks.starts import straight_qpos
@@ -72,7 +72,7 @@ def dragged(scene: Scene) -> float:
     stepper = Stepper(scene, straight_qpos(scene, scene.rope.radius))
     along = np.eye(stepper.home.shape[1])[0]
     samples = stepper.steps(3.0, lambda time: stepper.home + SPEED * time * along)
-    return float(np.mean([sample.force[0, 0] for sample in samples if sample.time > 2.0]))
+    return mean_force(samples, 2.0, 0, 0)
 
 
 def pushed(

@@ -21,7 +21,7 @@ from doojax.benchmarks.physics.cases import (
     still_hand,
 )
 from doojax.benchmarks.physics.closed_forms import cantilever_frequency, twist_angle
-from doojax.benchmarks.physics.stepping import Stepper
+from doojax.benchmarks.physics.stepping import Stepper, mean_force
 from doojax.geometry.curves import catenary, clamped_elastica
 from doojax.simulation.build import with_parameters
 from doojax.simulation.rope import RopeKind, RopeModel, RopeParameters
@@ -132,7 +132,7 @@ def holding(settings: Settings, engine: str) -> Iterator[Finding]:
         alone = settings.of(replace(scene, obstacles=(), grippers=(hand,)), 1.0)
         down = np.full(alone.rope_model.links, np.pi / 2)
         samples = Stepper(alone, bent_qpos(alone, np.array([0.0, 0.0, 2.0]), down)).steps(6.0)
-        force = np.mean([sample.force[0, 2] for sample in samples if sample.time > 4.0])
+        force = mean_force(samples, 4.0, 0, 2)
         yield case.found("carrying_force", force, alone.rope.mass * GRAVITY, "N")
     if settings.converged:
         return  # where hands are sent is no matter of the solver

@@ -35,13 +35,18 @@ class Stepper:
     def steps(
         self, seconds: float, targets: Callable[[float], Float[np.ndarray, "G D"]] | None = None
     ) -> "list[Sample]":
-        """Go on for so long, hands sent to ``targets(time)``, or left alone; one sample each step."""
+        """Go on for so long, or until the rope bursts, hands sent to ``targets(time)``, or left alone.
+
+        One sample each step.
+        """
         samples = []
         for _ in range(round(seconds / self.scene.timestep)):
             if targets is not None:
                 self.data.ctrl[:] = targets(self.data.time).reshape(-1)
             mujoco.mj_step(self.model, self.data)
             samples.append(Sample(self))
+            if not np.isfinite(self.data.qpos).all():
+                break
         return samples
 
     def twist(self, link: int, torque: float) -> None:
@@ -64,3 +69,10 @@ class Sample:
         self.force = stepper.data.actuator_force[: stepper.home.size].reshape(shape).copy()  # N, on the hands
         self.hands = stepper.data.qpos[stepper.layout.gripper_qpos].copy()  # m
         self.points = stepper.data.xpos[stepper.layout.links].copy()  # m
+
+
+def mean_force(samples: list[Sample], since: float, hand: int, axis: int) -> float:
+    """Of a hand along a world axis (N) from ``since`` (s) on; NaN for a rope that burst."""
+    if not np.isfinite(samples[-1].points).all():
+        return float("nan")
+    return float(np.mean([sample.force[hand, axis] for sample in samples if sample.time > since]))
