@@ -80,7 +80,7 @@ def _opened(file: Path, what: str) -> Iterator[np.lib.npyio.NpzFile]:
     if file.is_file() and not zipfile.is_zipfile(file):  # of which numpy would say that it may be unpickled
         raise ValueError(f"{file} is not {what} (it is no .npz archive)")
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             yield stored
     except (FileNotFoundError, IsADirectoryError, PermissionError):
         raise

@@ -11,6 +11,7 @@ from msgspec import Meta
 from doojax.experiments.methods import RECIPES
 from doojax.experiments.records import TrialRecord, load_record
 from doojax.reading import checked, read_json, read_lines
+from doojax.tasks import make_task
 
 CONFIG, METHOD, SECONDS, SCENES = "config.json", "method.json", "seconds.jsonl", "all.scenes"
 Count = Annotated[int, Meta(ge=0)]
@@ -86,7 +87,8 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], list[Outcomes]]:
     if not file.exists():
         raise FileNotFoundError(f"{folder} holds no evaluation: doojax evaluate writes one")
     config = read_json(file, dict[str, Any], "the config of an evaluation")
-    checked({name: config.get(name) for name in ("task", "seed")}, EvaluationConfig, str(file))
+    about = checked({name: config.get(name) for name in ("task", "seed")}, EvaluationConfig, str(file))
+    make_task(about.task)  # raises for a name that is none
     names = sorted(file.parent.name for file in folder.glob(f"*/{METHOD}"))
     known = list(RECIPES)
     names.sort(key=lambda name: known.index(name) if name in known else len(known))

@@ -253,7 +253,7 @@ def load_record(path: Path | str) -> Record:
         content = _unpacked(header, arrays)
         content["obstacles"] = {name: jnp.asarray(values) for name, values in content["obstacles"].items()}
         return checked(content, FORMATS[name])
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path} is not {what} ({error})") from error
 
 
