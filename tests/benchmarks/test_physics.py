@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -18,11 +19,13 @@ from doojax.benchmarks.physics.cases import (
 )
 from doojax.benchmarks.physics.contact import capstan, plates
 from doojax.benchmarks.physics.energy import energy
+from doojax.benchmarks.physics.engines import agreement, random_data
 from doojax.benchmarks.physics.fall import fall
 from doojax.benchmarks.physics.friction import lying, pushed
 from doojax.benchmarks.physics.statics import twists
 from doojax.benchmarks.physics.swing import hanging
 from doojax.experiments.reports import read_summary
+from doojax.types import RopeState, Trajectory
 
 PLAIN = Settings("default", converged=True)
 
@@ -134,3 +137,31 @@ def test_a_slow_rope_is_stopped_by_a_thick_plate_and_a_fast_one_is_noticed():
     fastest, unnoticed = plates(Settings("default"), "mujoco", thicknesses=(0.02,))
     assert fastest.value >= 0.5
     assert unnoticed.value == 0.0
+
+
+def trajectories(rng: np.random.Generator, count: int, depth: float) -> Trajectory:
+    """Made-up ones whose ropes are anywhere, and by ``depth`` (m) nearer to obstacles than others."""
+    points, hands = rng.normal(size=(count, 3, 4, 3)), np.zeros((count, 3, 1, 3))
+    clearance = rng.uniform(0.0, 0.1, (count, 3)) - depth
+    return Trajectory(
+        RopeState(jnp.asarray(points), jnp.asarray(hands)),
+        actions=jnp.zeros((count, 2, 1, 3)),
+        faults=jnp.zeros((count, 2), dtype=jnp.int32),
+        clearance=jnp.asarray(clearance),
+        stretch=jnp.zeros((count, 3)),
+    )
+
+
+def test_engines_agree_where_only_chance_differs_and_not_where_one_sinks_in():
+    rng = np.random.default_rng(0)
+    one, other, sunk = (trajectories(rng, 128, depth) for depth in (0.0, 0.0, 0.03))
+    assert agreement(one, other) > 0.01
+    assert agreement(one, sunk) < 1e-3
+
+
+@pytest.mark.slow
+def test_random_data_of_dragging_stay_out_of_obstacles():
+    found = {one.case: one for one in random_data(Settings("rope_dragging"), "mujoco", {"mujoco": (16, 4)})}
+    assert found["deeper_than_2mm"].value == 0.0 and found["deeper_than_2mm"].tags["states"] == 64
+    assert found["faulty_trajectories"].right
+    assert list(random_data(Settings("default"), "mujoco")) == []
