@@ -1,9 +1,16 @@
-"""Planning with any dynamics where a reliability allows it: doojax.planning.rrt and what is around it."""
+"""Planning with any dynamics where a reliability allows it (doojax.planning.rrt), and control by sampling."""
 
 from doojax.planning.goals import Goal as Goal
 from doojax.planning.goals import all_of as all_of
 from doojax.planning.goals import gripper_goal as gripper_goal
 from doojax.planning.goals import point_goal as point_goal
+from doojax.planning.mppi import HostRollouts as HostRollouts
+from doojax.planning.mppi import Mppi as Mppi
+from doojax.planning.mppi import MppiSettings as MppiSettings
+from doojax.planning.mppi import Nominal as Nominal
+from doojax.planning.mppi import Rollouts as Rollouts
+from doojax.planning.mppi import rolled_out as rolled_out
+from doojax.planning.mppi import timed_rolled_out as timed_rolled_out
 from doojax.planning.rrt import HostDynamics as HostDynamics
 from doojax.planning.rrt import Rrt as Rrt
 from doojax.planning.rrt import RrtSettings as RrtSettings
