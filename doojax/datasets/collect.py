@@ -67,6 +67,7 @@ def collect(
     if states < 2:
         raise ValueError(f"states is {states}, expected at least 2: one action leads to a second state")
     engine = resolve_engine(engine)
+    names = ("collect", task, phase)
     config = {
         "task": task,
         "scene": the_task.scene.digest,
@@ -74,6 +75,7 @@ def collect(
         "states": states,
         "engine": engine,
         "seed": seed,
+        "stream": "/".join(names),
         **({"rope": rope.given} if rope.given else {}),
     }
     with alone_in(out):
@@ -100,7 +102,7 @@ def _write_missing(
     with progress_bar(console) as progress:
         bar = progress.add_task(f"{the_task.name} on {engine}", total=sum(len(row) for row in rows), note="")
         for shard, row in zip(missing, rows, strict=True):
-            keys = numbered(stream(seed, "collect", the_task.name, phase), row)
+            keys = numbered(stream(seed, *names), row)
             start, _, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
             _require_room(start, row)
             writer.write(shard, stored_arrays(simulator, start, trajectory, np.array(row)))

@@ -247,7 +247,7 @@ class Dataset:
         )
 
     def split(self, name: str) -> np.ndarray:
-        """Indices of the "train", "validation" or "test" trajectories: 75, 12.5 and 12.5 %.
+        """Indices of the "train" (70 %), "validation", "calibration" or "test" trajectories (10 % each).
 
         Trajectories of one scene (field ``environment``; without it, each is its own) share a split: see
         `doojax.datasets.splits.split_by_environment`.
@@ -264,7 +264,7 @@ class Dataset:
             raise ValueError(f"there is no split {name!r}, only {', '.join(splits)}")
         if not len(splits[name]):
             scenes = len(np.unique(environment))
-            raise ValueError(f"the {name} split is empty: {scenes} scenes are too few, collect 8 or more")
+            raise ValueError(f"the {name} split is empty: {scenes} scenes are too few, collect 10 or more")
         return splits[name]
 
     def rope_states(self, indices: Indices) -> RopeState:

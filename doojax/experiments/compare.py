@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from doojax.commands import AND, command_line
+from doojax.experiments.executed import wrong_among_accepted
 from doojax.experiments.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
 from doojax.experiments.provenance import noted_commands
 from doojax.experiments.reports import Row, publish_rows, row
@@ -79,7 +80,7 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
         [
             f"# {task}: {len(outcomes)} methods on {trials} {kind}",
             "",
-            f"Scenes: {rule(scenes.caught)}.",
+            f"Scenes: {rule(scenes.difficulty, scenes.caught)}.",
             "",
             f"Made by `{command}`, seed {config['seed']}.",
             "",
@@ -101,7 +102,7 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
     )
     write_whole(out / "comparison.md", text + "\n")
     draw_success(out / "success.png", outcomes, f"{task.replace('_', ' ')}, {trials} {kind}")
-    about = {"task": task} | ({"start": "caught"} if scenes.caught else {})
+    about = {"task": task, "difficulty": scenes.difficulty} | ({"start": "caught"} if scenes.caught else {})
     if scenes.rope.given:
         about["rope"] = ", ".join(f"{name} {value}" for name, value in scenes.rope.given.items())
     rows = summary_rows(about, outcomes)
@@ -229,6 +230,8 @@ def summary_rows(about: dict[str, str], outcomes: Sequence[Outcomes]) -> list[Ro
         }
         rows += [row(name, tags, e.value, unit, e.low, e.high, e.n) for name, (e, unit) in figures.items()]
         rows.append(row("evaluate_minutes", tags, one.minutes, "min", n=n))
+        if wrong := wrong_among_accepted(one.judged):
+            rows.append(row("wrong_among_accepted", tags, wrong.value, "", wrong.low, wrong.high, wrong.n))
         if one.method == ORACLE:
             e = success_rate(one.success)
             rows.append(row("oracle_success", about | {"scenes": n}, e.value, "", e.low, e.high, e.n))

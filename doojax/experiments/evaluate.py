@@ -28,6 +28,7 @@ from doojax.experiments.outcomes import CONFIG, METHOD, SCENES, SECONDS
 from doojax.experiments.provenance import digests, note_command
 from doojax.experiments.records import TrialRecord, save_record
 from doojax.experiments.scenes import SceneSet, load_scenes, save_scenes, scene_file
+from doojax.experiments.seen import Seen, check_unseen, warning_of
 from doojax.experiments.trial import CRASHED, Method, Trials, TrialSettings, crashed, run_trials
 from doojax.files import alone_in, claim, file_digest
 from doojax.planning import RrtSettings, require_reachable
@@ -58,6 +59,8 @@ def evaluate(
     budget: TrialSettings = BUDGET,
     side_by_side: int | None = None,
     keep_trees: bool = False,
+    accept: str | None = None,
+    allow_seen: bool = False,
 ) -> None:
     """Try methods on the same scenes: one record a trial, for doojax compare and doojax view.
 
@@ -81,22 +84,30 @@ def evaluate(
         budget: when a trial ends.
         side_by_side: trials in one batch; by default 8 on a CPU and 32 on an accelerator.
         keep_trees: record all that was tried in every search (megabytes a trial).
+        accept: conformal:0.05 or conformal:0.1: accept only above the classifier's threshold at which at most
+            that fraction of what it accepts was to be wrong; by default what is more likely right than wrong.
+        allow_seen: go on with scenes that a model saw in training, and mark the results.
 
     Raises:
         ValueError: for an unknown name, models that are missing or of another task, more trials than scenes,
-            a goal that nothing can reach, a folder that holds something else, or a method all of whose
-            trials crashed.
+            a goal that nothing can reach, a folder that holds something else, scenes that a model saw in
+            training, or a method all of whose trials crashed.
         BlockingIOError: another process evaluates into the same folder.
     """
     command = command_line(evaluate, locals())
-    the_task = make_task(task)
+    make_task(task)  # refuses unknown names
     if not methods:
         raise ValueError(f"no methods were named, expected some of {', '.join(RECIPES)}")
     engine = resolve_engine(engine)
     path = scene_file(scenes, task)
     scene_set = load_scenes(path)
+    the_task = make_task(task, crowd=scene_set.crowd)
     found = find_models(models, task) if models else pretrained_models(task)
     needed = {name: needed_models(name, found) for name in dict.fromkeys(methods)}
+    seen: dict[str, Seen] = {
+        name: check_unseen(scene_set.stream, scene_set.seed, files, allow_seen=allow_seen)
+        for name, files in needed.items()
+    }
     trials = len(scene_set) if trials is None else trials
     if side_by_side is None:
         side_by_side = ON_CPU if jax.default_backend() == "cpu" else ON_ACCELERATORS
@@ -118,6 +129,8 @@ def evaluate(
         "planning": asdict(planning),
         "budget": asdict(budget),
         "side_by_side": side_by_side,
+        "accept": accept,
+        "allow_seen": allow_seen,
     }
     simulator = the_task.simulator(engine)
     require_reachable(the_task, jax.vmap(simulator.obstacles)(scene_set.starts), scene_set.goals)
@@ -130,8 +143,11 @@ def evaluate(
         note_command(out, command, seed, digests({"scenes": path, **inputs}))
         for name, files in needed.items():
             models_used = {kind: file_digest(path)[:16] for kind, path in files.items()}
-            claim(out / name, METHOD, {"models": models_used}, "evaluation")
-            method = make_method(name, the_task, simulator, found)
+            about = {"models": models_used, "scenes_seen": seen[name]}
+            claim(out / name, METHOD, about, "evaluation")
+            if warning := warning_of(seen[name], name):
+                console.print(warning, style="yellow")
+            method = make_method(name, the_task, simulator, found, accept)
             missing = [i for i in range(trials) if not record_file(out, name, i).exists()]
             groups = sorted({i // side_by_side for i in missing})
             with progress_bar(console) as progress:

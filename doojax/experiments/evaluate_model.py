@@ -1,5 +1,7 @@
 """How good trained models are on data that they have not seen: `doojax evaluate-model`."""
 
+from collections.abc import Mapping
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from doojax.commands import command_line
 from doojax.experiments.model_pictures import draw_classifier, draw_dynamics
@@ -16,7 +18,6 @@ from doojax.experiments.recovery_trials import recovery_rows
 from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.experiments.statistics import bootstrap
 from doojax.keys import generator
-from doojax.learning.calibration import conformal_threshold
 from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.data import Trajectories, load_split, open_dataset
 from doojax.learning.labels import Examples, LabelConfig, label
@@ -27,7 +28,7 @@ from doojax.models import Always, CollisionChecker
 from doojax.types import Obstacles, RopeState
 
 UNLEARNED = {"always": Always, "collision_checker": CollisionChecker}
-RESPLITS = 20
+RESAMPLES = 1000
 MEASURED = Path("measured")  # where pictures go that are not published
 
 
@@ -43,14 +44,14 @@ def evaluate_model(
     out: Path | None = None,
     publish: Path | None = None,
 ) -> None:
-    """Measure a model on the test split of a data set, and draw what was found.
+    """Measure a model on the test split of a data set, which chose nothing, and draw what was found.
 
     Args:
         model: a run or model.eqx; or always or collision_checker, which learn nothing.
         data: the data set; for dynamics any phase, for what judges predictions phase constrained.
         dynamics: the run or model.eqx whose predictions are judged; for all but dynamics.
         classifier: the run or model.eqx that says what is stuck; for a recovery network.
-        seed: of what is random: splits, and the actions of recoveries.
+        seed: of what is random: intervals, and the actions of recoveries.
         json: print the rows as JSON instead of a table.
         out: the folder of the pictures; by default that of `publish`, or `measured`.
         publish: the folder of results whose summary.json gets the figures, such as results/where_to_trust;
@@ -87,16 +88,9 @@ def evaluate_model(
         labels = LabelConfig(**header.about.get("labels", {}))
         examples = label(ensemble, test, labels)
         require_both_classes(examples, threshold, "test")
-        spare = load_split(dataset, "validation")
-        more = label(ensemble, spare, labels)
-        rows = classifier_rows(
-            loaded,
-            ((examples, test.obstacles), (more, spare.obstacles)),
-            threshold,
-            tags,
-            seed,
-            out / f"{task}_{header.kind}.png",
-        )
+        safe = header.about.get("conformal_thresholds", {})
+        picture = out / f"{task}_{header.kind}.png"
+        rows = classifier_rows(loaded, examples, test.obstacles, threshold, safe, tags, seed, picture)
     learned = None if model in UNLEARNED else Path(model)
     inputs = digests({"model": learned, "data": data, "dynamics": dynamics, "classifier": classifier})
     publish_rows(publish, command=command, seed=seed, rows=rows, inputs=inputs)
@@ -143,71 +137,91 @@ def prediction_errors(model: Any, data: Trajectories) -> Float[np.ndarray, "K T 
 
 def classifier_rows(
     judge: Any,
-    parts: tuple[tuple[Examples, Obstacles], tuple[Examples, Obstacles]],
+    examples: Examples,
+    obstacles: Obstacles,
     threshold: float,
+    safe: Mapping[str, float],
     tags: dict[str, Any],
     seed: int,
     picture: Path,
 ) -> list[Row]:
-    """Counts, ranking, calibration and the conformal promise; ``parts`` are test and validation."""
-    scores, right, trajectory = [], [], []
-    for examples, obstacles in parts:
-        values, correct = judged_kept(judge, examples, obstacles, threshold)
-        scores.append(values.astype(np.float64))
-        right.append(correct)
-        trajectory.append(np.asarray(examples.trajectory)[np.asarray(examples.kept(threshold))])
-    limit = float(judge.threshold)
-    found, n = counts(scores[0] > limit, right[0]), len(right[0])
-    rows = [row("right_fraction", tags, right[0].mean(), "", n=n)]
-    drawn = _by_trajectory(trajectory[0], scores[0] > limit, right[0], seed)
+    """Counts, ranking, calibration and the conformal promise, on the test split.
+
+    Args:
+        judge: a `Reliability`.
+        examples: predicted transitions of the split.
+        obstacles: [K], of its trajectories.
+        threshold: of the model error, m.
+        safe: the score above which a transition is accepted, by the rate of wrong ones that is promised; as
+            they were chosen on the calibration split.
+        tags: of all rows.
+        seed: of the intervals, for which whole trajectories are drawn anew: only they are independent.
+        picture: where to draw how far probabilities are from frequencies.
+    """
+    values, right = judged_kept(judge, examples, obstacles, threshold)
+    scores = values.astype(np.float64)
+    trajectory = np.asarray(examples.trajectory)[np.asarray(examples.kept(threshold))]
+    limit, n = float(judge.threshold), len(right)
+    found, drawn = counts(scores > limit, right), resampled(trajectory, scores > limit, right, seed)
+    rows = [row("right_fraction", tags, right.mean(), "", n=n)]
     for name in ("accuracy", "precision", "recall", "specificity"):
-        samples = np.asarray(getattr(drawn, name))
-        low, high = (None, None) if np.isnan(samples).any() else np.quantile(samples, [0.025, 0.975])
-        rows.append(row(f"classifier_{name}", tags, getattr(found, name), "", low, high, n))
-    rows.append(row("classifier_auroc", tags, auroc(scores[0], right[0]), "", n=n))
+        interval = _interval(getattr(drawn, name))
+        rows.append(row(f"classifier_{name}", tags, getattr(found, name), "", *interval, n))
+    rows.append(row("classifier_auroc", tags, auroc(scores, right), "", n=n))
     if tags["model"] in UNLEARNED:
         return rows
-    rows.append(row("classifier_ece", tags, expected_calibration_error(scores[0], right[0]), "", n=n))
-    all_scores, all_right = np.concatenate(scores), np.concatenate(right)
-    numbers = np.concatenate([trajectory[0], trajectory[1] + trajectory[0].max() + 1])
+    rows.append(row("classifier_ece", tags, expected_calibration_error(scores, right), "", n=n))
+    draw_classifier(picture, scores, right, f"{tags['task']}, {tags['model']}")
     for alpha in ALPHAS:
-        wrong, accepted = resplits(all_scores, all_right, numbers, alpha, seed)
-        error = wrong.std(ddof=1) / RESPLITS**0.5
-        named = tags | {"alpha": alpha}
-        low, high = max(wrong.mean() - 2 * error, 0.0), wrong.mean() + 2 * error
-        rows.append(row("conformal_violation", named, wrong.mean(), "", low, high, RESPLITS))
-        rows.append(row("conformal_accepted_fraction", named, accepted.mean(), "", n=RESPLITS))
-    draw_classifier(picture, scores[0], right[0], f"{tags['task']}, {tags['model']}")
+        rows += promise_rows(scores > safe.get(str(alpha), np.inf), right, trajectory, tags, alpha, seed)
     return rows
 
 
-def resplits(
-    scores: np.ndarray, right: np.ndarray, trajectory: np.ndarray, alpha: float, seed: int
-) -> tuple[Float[np.ndarray, "r"], Float[np.ndarray, "r"]]:
-    """Choose a conformal threshold on a random half of the trajectories and count on the other half.
+def promise_rows(
+    accepted: Bool[np.ndarray, "n"],
+    right: Bool[np.ndarray, "n"],
+    trajectory: Int[np.ndarray, "n"],
+    tags: dict[str, Any],
+    alpha: float,
+    seed: int,
+) -> list[Row]:
+    """How many are accepted, and which fraction of those is wrong, where at most ``alpha`` was promised.
 
-    Returns:
-        of each resplit the fraction of accepted transitions that are wrong, 0 where none is accepted, and
-        the fraction that is accepted.
+    One threshold, chosen on other scenes, is tried once; the intervals come from the trajectories. There is
+    no rate where nothing is accepted.
     """
-    rng = generator(seed, "evaluate-model", "resplits")
-    numbers = np.unique(trajectory)
-    wrong, accepted = np.zeros(RESPLITS), np.zeros(RESPLITS)
-    for i in range(RESPLITS):
-        chosen = np.isin(trajectory, rng.permutation(numbers)[: len(numbers) // 2])
-        limit = conformal_threshold(scores[chosen], right[chosen], alpha)
-        passed = scores[~chosen] > limit
-        accepted[i] = passed.mean()
-        wrong[i] = (passed & ~right[~chosen]).sum() / max(passed.sum(), 1)
-    return wrong, accepted
+    named, scenes = tags | {"alpha": alpha}, len(np.unique(trajectory))
+    drawn = resampled(trajectory, accepted, right, seed)
+    share = (drawn.accepted_right + drawn.accepted_wrong) / sum(astuple(drawn))
+    rows = [
+        row("conformal_accepted_fraction", named, accepted.mean(), "", *_interval(share), scenes),
+    ]
+    if accepted.any():
+        wrong = 1 - counts(accepted, right).precision
+        interval = _interval(1 - np.asarray(drawn.precision))
+        rows.insert(0, row("conformal_violation", named, wrong, "", *interval, scenes))
+    return rows
 
 
-def _by_trajectory(trajectory: np.ndarray, accepted: np.ndarray, right: np.ndarray, seed: int) -> Counts:
+def resampled(
+    trajectory: Int[np.ndarray, "n"],
+    accepted: Bool[np.ndarray, "n"],
+    right: Bool[np.ndarray, "n"],
+    seed: int,
+) -> Counts:
     """The counts of 1,000 samples, trajectories drawn anew with replacement."""
     kinds = np.stack([accepted & right, accepted & ~right, ~accepted & right, ~accepted & ~right], axis=1)
     numbers, index = np.unique(trajectory, return_inverse=True)
     totals = np.zeros((len(numbers), 4))
     np.add.at(totals, index, kinds)
     rng = generator(seed, "evaluate-model", "bootstrap")
-    drawn = rng.multinomial(len(numbers), np.full(len(numbers), 1 / len(numbers)), size=1000) @ totals
-    return Counts(*drawn.T)
+    weights = rng.multinomial(len(numbers), np.full(len(numbers), 1 / len(numbers)), size=RESAMPLES)
+    return Counts(*(weights @ totals).T)
+
+
+def _interval(samples: float | Float[np.ndarray, "r"]) -> tuple[float | None, float | None]:
+    """The middle 95 % of them; none where one of them is no number."""
+    if np.isnan(samples).any():
+        return None, None
+    low, high = np.quantile(samples, [0.025, 0.975])
+    return float(low), float(high)

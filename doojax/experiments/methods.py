@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from doojax.experiments.trial import Method
-from doojax.models import Always, CollisionChecker
+from doojax.learning.checkpoints import Header
+from doojax.models import Always, CollisionChecker, Stricter
 from doojax.planning import simulated, simulated_start
 from doojax.planning.recovery import RandomRecovery
 from doojax.simulation.state import Simulator
@@ -91,14 +92,34 @@ def needed_models(name: str, models: Mapping[str, Path]) -> dict[str, Path]:
     return {kind: models[kind] for kind in sorted(k for k in kinds if k)}
 
 
-def make_method(name: str, task: Task, simulator: Simulator, models: Mapping[str, Path]) -> Method:
-    """The method called ``name``; errors as for `needed_models`."""
+def make_method(
+    name: str, task: Task, simulator: Simulator, models: Mapping[str, Path], accept: str | None = None
+) -> Method:
+    """The method called ``name``.
+
+    Args:
+        name: one of `RECIPES`.
+        task: what is to be done.
+        simulator: the dynamics of methods without learned ones.
+        models: files by kind.
+        accept: what a classifier must say for a transition to be accepted: "conformal:ALPHA", above the
+            threshold at which at most the fraction ALPHA of accepted transitions was to be wrong; by default
+            more likely right than wrong. Methods without a classifier do not look at it.
+
+    Raises:
+        ValueError: as `needed_models`, and for a rate for which the classifier has no threshold.
+    """
     from doojax.learning.checkpoints import load_model
 
     needed, recipe = needed_models(name, models), RECIPES[name]
+    errors: dict[str, Any] = {}
 
     def loaded(kind: str) -> Any:
-        return load_model(needed[kind], task=task.name, kind=kind)[0]
+        model, header = load_model(needed[kind], task=task.name, kind=kind)
+        errors[kind] = header.about.get("threshold_m")
+        if accept is not None and kind == recipe.reliability:
+            return Stricter(model, conformal_limit(accept, header, needed[kind]))
+        return model
 
     made: dict[str, Any] = {"begin": simulated_start} if recipe.dynamics == "simulator" else {}
     if recipe.dynamics in needed:
@@ -112,4 +133,20 @@ def make_method(name: str, task: Task, simulator: Simulator, models: Mapping[str
         return unlearned[kind]() if kind in unlearned else loaded(kind)
 
     recovery = judge(recipe.recovery) if recipe.recovery else None
-    return Method(name, dynamics, judge(recipe.reliability), recovery, **made)
+    judging = judge(recipe.reliability)
+    made["error_threshold_m"] = errors.get(recipe.reliability) or errors.get(recipe.dynamics)
+    return Method(name, dynamics, judging, recovery, **made)
+
+
+def conformal_limit(accept: str, header: Header, path: Path) -> float:
+    """The threshold that a classifier's header has for "conformal:ALPHA".
+
+    Raises:
+        ValueError: for another text, or a rate for which there is none; the message lists those there are.
+    """
+    safe = header.about.get("conformal_thresholds", {})
+    kind, _, alpha = accept.partition(":")
+    there = ", ".join(f"conformal:{rate}" for rate in safe) or "none"
+    if kind != "conformal" or alpha not in safe:
+        raise ValueError(f"accept is {accept!r}, expected one of those that {path} has: {there}")
+    return float(safe[alpha])

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from msgspec import Meta
 
+from doojax.experiments.executed import counts_of
 from doojax.experiments.methods import RECIPES
 from doojax.experiments.records import TrialRecord, load_record
 from doojax.reading import checked, read_json, read_lines
@@ -56,6 +57,7 @@ class Outcomes:
     error: Float[np.ndarray, "n"]  # m, between the rope and the goal at the end
     plan_s: Float[np.ndarray, "n"]
     counts: dict[str, Int[np.ndarray, "n"]]  # see COUNTS
+    judged: Int[np.ndarray, "n 2"]  # executed transitions of plans, and how many of them were wrong
     ends: tuple[str, ...]  # why each trial ended
     minutes: float  # that the evaluation took, all told
     goal_radius: float  # m
@@ -70,6 +72,7 @@ class Outcomes:
             self.error[kept],
             self.plan_s[kept],
             {name: values[kept] for name, values in self.counts.items()},
+            self.judged[kept],
             tuple(end for end, keep in zip(self.ends, kept, strict=True) if keep),
             self.minutes,
             self.goal_radius,
@@ -117,6 +120,7 @@ def read_outcomes(folder: Path) -> Outcomes:
         error=np.array([one.final_error_m for one in figures], dtype=float),
         plan_s=np.array([one.plan_s for one in figures], dtype=float),
         counts={name: np.array([getattr(one, name) for one in figures], dtype=int) for name in COUNTS},
+        judged=counts_of(trials),
         ends=tuple(record.end for record in trials),
         minutes=sum(one.seconds for one in seconds) / 60,
         goal_radius=trials[0].goal_radius if trials else 0.0,

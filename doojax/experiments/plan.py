@@ -15,6 +15,7 @@ from doojax.experiments.methods import find_models, make_method, needed_models, 
 from doojax.experiments.provenance import digests
 from doojax.experiments.records import save_record
 from doojax.experiments.scenes import FOLDER, load_scenes
+from doojax.experiments.seen import check_unseen, warning_of
 from doojax.experiments.trial import Trials, TrialSettings, run_trials
 from doojax.keys import stream
 from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem, gripper_goal, point_goal
@@ -44,6 +45,8 @@ def plan(
     engine: str = "auto",
     planning: RrtSettings = PLANNING,
     budget: TrialSettings = BUDGET,
+    accept: str | None = None,
+    allow_seen: bool = False,
     out: Path | None = None,
 ) -> None:
     """Plan in one scene, execute the plan in the simulator, and record it all for doojax view.
@@ -64,13 +67,16 @@ def plan(
         engine: that executes: auto, mujoco, mjx or warp.
         planning: how a tree is grown.
         budget: when to give up.
+        accept: conformal:0.05 or conformal:0.1: accept only above the classifier's threshold at which at most
+            that fraction of what it accepts was to be wrong; by default what is more likely right than wrong.
+        allow_seen: plan in a scene that a model saw in training, too.
         out: the record to write, ending in .npz, which must not be there yet; by default the first of
             plans/TASK_METHOD_1.npz, plans/TASK_METHOD_2.npz, ... that is not.
 
     Raises:
         FileExistsError: there is a record of this name.
         ValueError: for names or indices that do not exist, a goal out of reach, a scene in collision at the
-            start, or models that are missing or of another task.
+            start, models that are missing or of another task, or a scene that a model saw in training.
     """
     command = command_line(plan, locals())
     the_task = make_task(task)
@@ -83,7 +89,8 @@ def plan(
     found = find_models(models, task) if models else pretrained_models(task)
     method = method or ("classifier" if "classifier" in found else "collision_checker")
     simulator = the_task.simulator(resolve_engine(engine))
-    start, aim = _scene(the_task, simulator, scene, seed, rope)
+    start, aim, origin = _scene(the_task, simulator, scene, seed, rope)
+    saw = check_unseen(*origin, needed_models(method, found), allow_seen=allow_seen)
     wanted = [point_goal(the_task, jnp.array(goal), points=points)] if goal is not None else []
     wanted += [gripper_goal(the_task, jnp.array(grippers))] if grippers is not None else []
     aim = all_of(*wanted) if wanted else aim
@@ -91,7 +98,7 @@ def plan(
     seen = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).rope)
     check_problem(the_task, Problem(simulator.obstacles(start), seen, aim, stream(seed, "plan")))
 
-    chosen = make_method(method, the_task, simulator, found)
+    chosen = make_method(method, the_task, simulator, found, accept)
     trials = Trials(*batch, [scene or 0], seed)
     (record,) = run_trials(
         the_task, simulator, chosen, planning, budget, trials, keep_trees=True, execute=execute
@@ -104,6 +111,8 @@ def plan(
         table.add_row(f"state {event.step}", event.kind, event.text)
     console = Console(markup=False, highlight=False)
     console.print(table)
+    if warning := warning_of(saw, method):
+        console.print(f"[yellow]{warning}[/]", highlight=False)
     if execute:
         console.print(
             f"the rope ends {100 * record.about['final_error_m']:.1f} cm from the goal", highlight=False
@@ -119,16 +128,18 @@ def free_name(path: Path) -> Path:
 
 def _scene(
     task: Task, simulator: Simulator, scene: int | None, seed: int, rope: OtherRope
-) -> tuple[SimState, Goal]:
-    """A start and the goal that goes with it."""
+) -> tuple[SimState, Goal, tuple[str, int]]:
+    """A start, the goal that goes with it, and the random stream and seed that they were drawn from."""
     if scene is None:
         start_key, goal_key = (stream(seed, "plan", name) for name in ("start", "goal"))
         begin = with_rope(task, rope).simulator("mujoco") if rope.given else simulator
         alone = jax.tree.map(lambda leaf: leaf[None], begin.reset(start_key))
         start = jax.tree.map(lambda leaf: leaf[0], carrying(task, alone, rope))
-        return start, point_goal(task, task.sample_goal(goal_key, simulator.obstacles(start)))
+        goal = point_goal(task, task.sample_goal(goal_key, simulator.obstacles(start)))
+        return start, goal, ("plan", seed)
     known = load_scenes(FOLDER / f"{task.name}.scenes")
     if not 0 <= scene < len(known):
         raise ValueError(f"there is no scene {scene} of {task.name}: expected 0 to {len(known) - 1}")
     known = with_other_rope(known, task, rope) if rope.given else known
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf[scene]), (known.starts, known.goals))
+    chosen = jax.tree.map(lambda leaf: jnp.asarray(leaf[scene]), (known.starts, known.goals))
+    return *chosen, (known.stream, known.seed)

@@ -180,7 +180,7 @@ class TrialRecord:
     obstacles: Obstacles
     goal: Float[np.ndarray, "3"]
     goal_radius: float  # m, within which the goal is reached
-    goal_point: int  # index of the rope's point that is to reach it
+    goal_point: int  # which body is to reach it: the rope's points are counted first, then the grippers
     points: Float[np.ndarray, "T1 N 3"]  # what was executed
     grippers: Float[np.ndarray, "T1 G 3"]
     plans: tuple[PlanRecord, ...]
@@ -193,10 +193,16 @@ class TrialRecord:
     def __post_init__(self):
         """Refuse arrays that do not fit together."""
         _expect("goal", self.goal, (3,))
-        _expect_range("goal_point", np.array([self.goal_point]), 0, self.points.shape[1] - 1)
         _expect("grippers", self.grippers, (len(self.points), *self.grippers.shape[1:2], 3))
+        bodies = self.points.shape[1] + self.grippers.shape[1]
+        _expect_range("goal_point", np.array([self.goal_point]), 0, bodies - 1)
         for name, items in (("plans", self.plans), ("events", self.events)):
             _expect_range(f"step of {name}", np.array([item.step for item in items]), 0, len(self.points) - 1)
+
+    @property
+    def goal_way(self) -> Float[np.ndarray, "T1 3"]:
+        """Where the body that is to reach the goal was, metres."""
+        return body_of(self.points, self.grippers, self.goal_point)
 
     @property
     def end(self) -> str:
@@ -204,6 +210,14 @@ class TrialRecord:
         return (
             self.events[-1].text if self.events and self.events[-1].kind == "end" else "no end was recorded"
         )
+
+
+def body_of(
+    points: Float[np.ndarray, "*b N 3"], grippers: Float[np.ndarray, "*b G 3"], index: int
+) -> Float[np.ndarray, "*b 3"]:
+    """One of the bodies, the rope's points counted first and then the grippers."""
+    count = points.shape[-2]
+    return points[..., index, :] if index < count else grippers[..., index - count, :]
 
 
 Record = PredictionRecord | TrialRecord

@@ -1,13 +1,15 @@
 """Scene sets: the starts, obstacles and goals that all methods of a comparison share, in one file.
 
-How hard scenes are is set by a rule that looks at no method: an obstacle blocks the straight way of the
-task's rope point to its goal, yet some way leads there that is wide enough for the rope.
+How hard scenes are is set by a rule that looks at no method. In all of them an obstacle blocks the straight
+way of the task's rope point to its goal, yet some way leads there that is wide enough for the rope. In narrow
+ones no way is wider than three ropes side by side; in dense ones there are twice as many obstacles as the
+task has, but for walls and tables. Scenes come from random streams of their own, which nothing trains on.
 """
 
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from doojax.datasets.collect import random_trajectories
-from doojax.experiments.difficulty import difficulty
+from doojax.experiments.difficulty import difficulty as measured
 from doojax.experiments.statistics import bootstrap
 from doojax.files import whole_file
 from doojax.keys import numbered, stream
@@ -27,11 +29,16 @@ from doojax.tasks import make_task
 from doojax.tasks.base import Task
 from doojax.tasks.ropes import OWN, OtherRope, carrying, with_rope
 
-VERSION = 1  # raise it when scenes of the same seed become others
+VERSION = 2  # raise it when scenes of the same seed become others
 FOLDER = Path(__file__).parent / "scene_sets"
 SCENES = 150
 DRAWN = 64  # scenes at once
 MOST_DRAWN = 100  # for each that is wanted
+Difficulty = Literal["easy", "narrow", "dense"]
+CROWD: dict[Difficulty, int] = {"easy": 1, "narrow": 1, "dense": 2}  # times the task's obstacles
+NARROW = 3.0  # rope radii: of the largest ball for which there is a way
+RULES: dict[Difficulty, str] = {"easy": "", "narrow": "; no way is wider than three ropes"}
+RULES["dense"] = "; there are twice as many obstacles as the task has"
 RULE = "an obstacle blocks the straight way of the goal's point, yet a way as wide as the rope leads there"
 CAUGHT = "; random actions led to the start, and an obstacle held back the last of them"
 RANDOM_ACTIONS = 12
@@ -49,8 +56,19 @@ class SceneSet:
     starts: SimState  # [S]
     goals: Goal  # [S]
     sizes: dict[str, np.ndarray]  # [S], metres: see `difficulty`
+    difficulty: Difficulty = "easy"
     caught: bool = False  # does every scene start where an obstacle holds the rope or a gripper back?
     rope: OtherRope = OWN  # what differs from the task's own; the starts carry it
+
+    @property
+    def stream(self) -> str:
+        """The name of the random stream that they come from."""
+        return "/".join(stream_names(self.task, self.difficulty, self.caught))
+
+    @property
+    def crowd(self) -> int:
+        """How many times the task's obstacles there are, for `doojax.tasks.make_task`."""
+        return CROWD[self.difficulty]
 
     def __len__(self) -> int:
         """How many scenes there are."""
@@ -63,6 +81,8 @@ class SceneHeader:
 
     task: str
     seed: int
+    difficulty: Difficulty
+    stream: str
     rule: str = ""
     caught: bool = False
     rope: OtherRope = OWN
@@ -74,6 +94,7 @@ def scenes(
     *,
     count: int = SCENES,
     seed: int = 0,
+    difficulty: Difficulty = "easy",
     caught: bool = False,
     rope: OtherRope = OWN,
     out: Path | None = None,
@@ -84,50 +105,87 @@ def scenes(
         task: rope_dragging, dual_gripper or toy.
         count: how many scenes.
         seed: of everything that is random.
+        difficulty: easy (an obstacle blocks the straight way), narrow (and no way is wider than three ropes)
+            or dense (and there are twice as many obstacles).
         caught: start where random actions have led, and an obstacle holds the rope or a gripper back: scenes
             in which recoveries are needed.
         rope: what of the rope differs from the task's own, in all scenes.
-        out: the file, ending in .scenes; by default TASK.scenes in this folder.
+        out: the file, ending in .scenes; by default TASK.scenes, or TASK_DIFFICULTY.scenes, in this folder.
 
     Raises:
         ValueError: for an unknown task, a count below 1, a file of another kind, or if hard scenes are rare.
     """
-    out = out or Path(f"{task}.scenes")
-    drawn = draw_scenes(with_rope(make_task(task), rope), count, seed, caught=caught)
-    drawn = replace(drawn, starts=carrying(make_task(task), drawn.starts, rope), rope=rope)
+    names = [task, *[difficulty][: difficulty != "easy"], *["caught"][:caught]]
+    out = out or Path(f"{'_'.join(names)}.scenes")
+    the_task = make_task(task, crowd=crowd_of(difficulty))
+    drawn = draw_scenes(with_rope(the_task, rope), count, seed, difficulty, caught=caught)
+    drawn = replace(drawn, starts=carrying(the_task, drawn.starts, rope), rope=rope)
     save_scenes(out, drawn)
-    table = Table("metres", "mean", "95 % interval", "least", "greatest", title=f"{count} scenes of {task}")
+    title = f"{count} {difficulty} scenes of {task}"
+    table = Table("metres", "mean", "95 % interval", "least", "greatest", title=title)
     for name, values in drawn.sizes.items():
         mean = bootstrap(values)
         interval = f"{mean.low:.3f} to {mean.high:.3f}"
         table.add_row(name, f"{mean.value:.3f}", interval, f"{values.min():.3f}", f"{values.max():.3f}")
     Console().print(table)
-    Console(stderr=True).print(f"wrote {out}: {rule(caught)}", highlight=False, markup=False)
+    Console(stderr=True).print(f"wrote {out}: {rule(difficulty, caught)}", highlight=False, markup=False)
 
 
-def rule(caught: bool) -> str:
+def rule(difficulty: Difficulty, caught: bool) -> str:
     """What all scenes of a set have in common."""
-    return RULE + CAUGHT * caught
+    return RULE + RULES[difficulty] + CAUGHT * caught
 
 
-def draw_scenes(task: Task, count: int, seed: int, *, caught: bool = False) -> SceneSet:
-    """The first ``count`` scenes, of a sequence that depends on the seed alone, that obey the rule.
+def stream_names(task: str, difficulty: Difficulty, caught: bool) -> tuple[str, ...]:
+    """The names of a set's random stream, see `doojax.keys.stream`."""
+    return ("scenes", task, difficulty, *["caught"][:caught])
+
+
+def crowd_of(difficulty: Difficulty) -> int:
+    """How many times the task's obstacles scenes of a difficulty have.
 
     Raises:
-        ValueError: for a count below 1, or where almost no scene obeys the rule.
+        ValueError: for an unknown difficulty.
     """
+    if difficulty not in CROWD:
+        raise ValueError(
+            f"unknown difficulty {difficulty!r}, expected one of {', '.join(get_args(Difficulty))}"
+        )
+    return CROWD[difficulty]
+
+
+def draw_scenes(
+    task: Task, count: int, seed: int, difficulty: Difficulty = "easy", *, caught: bool = False
+) -> SceneSet:
+    """The first ``count`` scenes that obey the rule, of a sequence that depends on seed and rule alone.
+
+    Args:
+        task: with as many obstacles as `crowd_of` says for the difficulty.
+        count: how many.
+        seed: of everything that is random.
+        difficulty: which rule.
+        caught: start where an obstacle holds the rope or a gripper back.
+
+    Raises:
+        ValueError: for a count below 1, an unknown difficulty, or where almost no scene obeys the rule.
+    """
+    crowd_of(difficulty)
     if count < 1:
         raise ValueError(f"count is {count}, expected at least 1")
-    simulator = task.simulator()
+    simulator = task.simulator("mujoco")  # on every machine: where ropes get caught, engines differ
     reset = jax.jit(jax.vmap(simulator.reset))
     aim = jax.jit(jax.vmap(task.sample_goal))
-    kind = "caught" if caught else "easy"
+    root = stream(seed, *stream_names(task.name, difficulty, caught))
+    radius = task.scene.rope.radius
+    widest = NARROW * radius if difficulty == "narrow" else np.inf
     parts: list[Any] = []
     found = drawn = 0
     while found < count:
         if drawn > MOST_DRAWN * count + 10 * DRAWN:
-            raise ValueError(f"only {found} of {drawn} scenes of {task.name} are hard enough: {rule(caught)}")
-        keys = numbered(stream(seed, "scenes", task.name, kind), range(drawn, drawn + DRAWN))
+            raise ValueError(
+                f"only {found} of {drawn} scenes of {task.name} are hard enough: {rule(difficulty, caught)}"
+            )
+        keys = numbered(root, range(drawn, drawn + DRAWN))
         start_keys, goal_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
         if caught:
             starts, held = _caught(task, simulator, start_keys)
@@ -136,14 +194,15 @@ def draw_scenes(task: Task, count: int, seed: int, *, caught: bool = False) -> S
         obstacles = jax.vmap(simulator.obstacles)(starts)
         places = aim(goal_keys, obstacles)
         begin = np.asarray(simulator.observations(starts).rope.points)[:, task.goal_point]
-        sizes = difficulty(obstacles, begin, np.asarray(places), task.workspace)
-        hard = held & (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > task.scene.rope.radius)
+        sizes = measured(obstacles, begin, np.asarray(places), task.workspace)
+        hard = held & (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > radius)
+        hard &= sizes["bottleneck"] <= widest
         hard &= (np.asarray(starts.faults) & int(Fault.SCENE_OVERFULL)) == 0
         goals = jax.vmap(lambda place: point_goal(task, place))(places)
         parts.append(jax.tree.map(lambda leaf, h=hard: np.asarray(leaf)[h], (starts, goals, sizes)))
         found, drawn = found + int(hard.sum()), drawn + DRAWN
     starts, goals, sizes = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
-    return SceneSet(task.name, seed, starts, goals, sizes, caught)
+    return SceneSet(task.name, seed, starts, goals, sizes, difficulty, caught)
 
 
 def save_scenes(path: Path, scenes: SceneSet) -> None:
@@ -155,7 +214,13 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
     if path.suffix != ".scenes":
         raise ValueError(f"a file of scenes ends in .scenes, got {path}")
     header = {"format": "doojax scenes", "version": VERSION, "task": scenes.task, "seed": scenes.seed}
-    header |= {"rule": rule(scenes.caught), "caught": scenes.caught, "rope": scenes.rope.given}
+    header |= {
+        "stream": scenes.stream,
+        "difficulty": scenes.difficulty,
+        "caught": scenes.caught,
+        "rope": scenes.rope.given,
+    }
+    header |= {"rule": rule(scenes.difficulty, scenes.caught)}
     arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
     arrays |= {f"start/{name}": np.asarray(getattr(scenes.starts, name)) for name in STATE}
     arrays |= {f"model/{name}": np.asarray(values) for name, values in scenes.starts.model_fields.items()}
@@ -206,7 +271,7 @@ def load_scenes(path: Path) -> SceneSet:
         )
     try:
         header = checked(content, SceneHeader)
-        _check_arrays(make_task(header.task), stored)
+        _check_arrays(make_task(header.task, crowd=crowd_of(header.difficulty)), stored)
     except ValueError as error:
         raise ValueError(f"{path} is not {what} that can be used: {error}") from error
     state = {name: jnp.asarray(stored[f"start/{name}"]) for name in STATE}
@@ -218,6 +283,7 @@ def load_scenes(path: Path) -> SceneSet:
         starts=SimState(**state, faults=jnp.zeros(count, dtype=jnp.int32), model_fields=fields),
         goals=Goal(**{name: jnp.asarray(stored[f"goal/{name}"]) for name in GOAL}),
         sizes={name.removeprefix("size/"): v for name, v in stored.items() if name.startswith("size/")},
+        difficulty=header.difficulty,
         caught=header.caught,
         rope=header.rope,
     )

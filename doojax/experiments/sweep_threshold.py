@@ -50,7 +50,7 @@ def sweep_threshold(
             1, 1.5 and 2 times the dynamics' own.
         seeds: classifiers for each threshold.
         epochs: of training.
-        trajectories: of the train and of the validation split, at most: few, as there are many classifiers.
+        trajectories: of all splits but test, at most: few, as there are many classifiers.
         preset: quick or thesis, of the network and the labels.
         seed: of everything that is random.
         json: print the rows as JSON instead of a table.

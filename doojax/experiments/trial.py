@@ -63,6 +63,7 @@ class Method:
     reliability: Reliability
     recovery: Recovery | None = None  # None: a trial that is stuck is given up
     begin: Callable[[Simulator, SimState], RopeState] = observed  # the state that a plan starts from
+    error_threshold_m: float | None = None  # of the model error, below which a prediction counts as right
 
 
 @dataclass(frozen=True)
@@ -341,7 +342,7 @@ def _record(
     targets, points = np.asarray(goal.targets), np.stack(log.points)
     allowed = np.flatnonzero(np.asarray(goal.bodies)[0])
     ends = np.concatenate([points[-1], log.grippers[-1]])[allowed]
-    nearest = int(allowed[np.argmin(np.nan_to_num(np.linalg.norm(ends - targets[0], axis=-1), nan=np.inf))])
+    distances = np.nan_to_num(np.linalg.norm(ends - targets[0], axis=-1), nan=np.inf)
     actions = np.array(log.actions, np.float32).reshape(-1, task.grippers, 3)
     about: dict[str, Any] = {
         "trial": int(trials.numbers[index]),
@@ -353,6 +354,7 @@ def _record(
         "recovery_actions": log.recoveries,
         "plan_s": round(log.plan_s, 3),
         "more_targets": targets[1:].tolist(),
+        "error_threshold_m": method.error_threshold_m,
     }
     return TrialRecord(
         task=task.name,
@@ -362,7 +364,7 @@ def _record(
         obstacles=obstacles,
         goal=targets[0],
         goal_radius=float(goal.tolerance),
-        goal_point=min(nearest, points.shape[1] - 1),
+        goal_point=int(allowed[np.argmin(distances)]),
         points=points,
         grippers=np.stack(log.grippers),
         plans=tuple(log.plans),

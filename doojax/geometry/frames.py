@@ -1,14 +1,21 @@
 """Rotations, rigid frames and lengths.
 
-Quaternions are unit, (w, x, y, z), body to world. Everything is written element by element, never as a matrix
-product: by default GPUs may round the factors of float32 matrix products to three digits, millimetres here.
+Quaternions are unit, (w, x, y, z), body to world. Everything is written element by element, never as a plain
+matrix product: by default GPUs may round the factors of float32 matrix products to three digits, millimetres
+here.
 """
 
 import functools
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
+
+
+def exact_product(left: Float[Array, "*b m k"], right: Float[Array, "*b k n"]) -> Float[Array, "*b m n"]:
+    """The matrix product in the arguments' own precision, on GPUs too; for lengths, not for networks."""
+    return jnp.matmul(left, right, precision=jax.lax.Precision.HIGHEST)
 
 
 def rotate(quaternion: Float[Array, "*#b 4"], vector: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:

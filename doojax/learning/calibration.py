@@ -1,7 +1,7 @@
-"""Fit what a classifier's output means, and choose thresholds that keep a promise, on validation data."""
+"""Fit what a classifier's output means, and choose thresholds that keep a promise, on a split of its own."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import minimize
 
 from doojax.models.calibration import Calibration
@@ -15,7 +15,7 @@ def fit_calibration(logits: Float[np.ndarray, "n"], right: Bool[np.ndarray, "n"]
     """
     if right.all() or not right.any():
         raise ValueError(
-            f"all {len(right)} validation examples are {'right' if right.all() else 'wrong'}: a classifier "
+            f"all {len(right)} calibration examples are {'right' if right.all() else 'wrong'}: a classifier "
             "cannot be calibrated on one class; collect more data, or choose another threshold"
         )
     signs = np.where(right, 1.0, -1.0)
@@ -32,14 +32,29 @@ def fit_calibration(logits: Float[np.ndarray, "n"], right: Bool[np.ndarray, "n"]
     return Calibration(float(np.exp(found.x[0])), float(found.x[1]))
 
 
-def conformal_threshold(scores: Float[np.ndarray, "n"], right: Bool[np.ndarray, "n"], alpha: float) -> float:
+def conformal_threshold(
+    scores: Float[np.ndarray, "n"],
+    right: Bool[np.ndarray, "n"],
+    alpha: float,
+    trajectory: Int[np.ndarray, "n"] | None = None,
+) -> float:
     """The least threshold above which at most the fraction ``alpha`` of transitions is wrong.
 
     Of n exchangeable examples, it counts one more wrong than it sees: it is the least score t such that
     (1 + number wrong with scores above t) / (number with scores above t) is at most alpha, the rule by which
     conformal selection controls the false discovery rate (Jin and Candes 2023). Accept scores greater than
-    it. Transitions of one trajectory are not exchangeable with those of others one by one, so this holds on
-    average over trajectories, not given one.
+    it.
+
+    Transitions of one trajectory are alike; only trajectories are exchangeable. So where ``trajectory`` says
+    which each is from, one more trajectory counts as wrong throughout, with as many transitions above t as
+    those that have any have on average. The promise is then kept on average over sets of trajectories, not
+    given one, and for transitions that were drawn as these were: a planner chooses its own.
+
+    Args:
+        scores: of n transitions.
+        right: which of them were right.
+        alpha: the rate.
+        trajectory: numbers of their trajectories; by default each is its own.
 
     Returns:
         the threshold; infinite where no threshold keeps the promise: accept nothing.
@@ -51,7 +66,12 @@ def conformal_threshold(scores: Float[np.ndarray, "n"], right: Bool[np.ndarray, 
         raise ValueError(f"alpha is {alpha}, expected a rate between 0 and 1")
     order = np.argsort(-scores, kind="stable")
     ranked, wrong = scores[order], np.cumsum(~right[order])
-    keeps = (1 + wrong) / np.arange(1, len(scores) + 1) <= alpha
+    count = np.arange(1, len(scores) + 1)
+    first = np.ones(len(scores), dtype=bool)
+    if trajectory is not None:
+        first[:] = False
+        first[np.unique(trajectory[order], return_index=True)[1]] = True
+    keeps = (count / np.cumsum(first) + wrong) / count <= alpha
     keeps &= np.append(ranked[1:] < ranked[:-1], True)  # a threshold accepts all of equal scores or none
     if not keeps.any():
         return float("inf")

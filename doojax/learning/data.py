@@ -45,7 +45,7 @@ def open_dataset(path: Path, *, task: str | None = None) -> Dataset:
 
 
 def load_split(dataset: Dataset, split: str) -> Trajectories:
-    """The sound trajectories of one split, "train", "validation" or "test".
+    """The sound trajectories of one split, "train", "validation", "calibration" or "test".
 
     Raises:
         ValueError: none is left.

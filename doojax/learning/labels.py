@@ -114,9 +114,10 @@ def label(ensemble: Ensemble, data: Trajectories, config: LabelConfig) -> Exampl
 
     def predict(row: tuple[Array, Array]) -> tuple[Transition, Array, Array]:
         number, time = row
-        inside = jnp.minimum(time, length - 1)  # what lies beyond the end is dropped below
-        actions = data.actions[number, inside]
-        true = jax.tree.map(lambda leaf: leaf[number, jnp.append(inside, inside[-1] + 1)], data.states)
+        # What lies beyond the end is dropped below; until then the last action and state stand there.
+        actions = data.actions[number, jnp.minimum(time, length - 1)]
+        reached = jnp.minimum(time[0] + jnp.arange(horizon + 1), length)
+        true = jax.tree.map(lambda leaf: leaf[number, reached], data.states)
         first = jax.tree.map(lambda leaf: leaf[0], true)
         if config.rollout == "mean":
             states, uncertainty = ensemble.roll_out(first, actions)

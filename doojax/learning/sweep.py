@@ -52,7 +52,7 @@ def sweep_thresholds(
 ) -> tuple[str, float, list[Measured]]:
     """Train a classifier from distances for every threshold and seed as members of one `fit`, and judge them.
 
-    Each is calibrated on the validation split and accepts what is more likely right than wrong.
+    Each is calibrated on the calibration split and accepts what is more likely right than wrong.
 
     Args:
         data: a data set of phase constrained.
@@ -62,7 +62,7 @@ def sweep_thresholds(
         seeds: classifiers for each.
         preset: of the network and the labels.
         epochs: of training.
-        trajectories: of the train and of the validation split, at most; the test split is used whole.
+        trajectories: of the train, validation and calibration splits, at most; the test split is used whole.
         seed: of everything that is random.
         report: called after each epoch.
 
@@ -78,14 +78,14 @@ def sweep_thresholds(
             raise ValueError(f"{name} is {count}, expected at least 1")
     if len(set(thresholds)) < len(thresholds) or not all(threshold > 0 for threshold in thresholds):
         raise ValueError(f"thresholds are {list(thresholds)}, expected different positive lengths (m)")
-    dataset, ensemble, task, own = judged_data(data, dynamics, None)
+    dataset, ensemble, task, own, _ = judged_data(data, dynamics, None)
     chosen = sorted(thresholds) or [fraction * own for fraction in FRACTIONS]
     labels = labels_preset(preset)
     network = classifier_preset(preset, task)
     members = jnp.repeat(jnp.array(chosen), seeds)
     network = replace(network, fit=replace(network.fit, epochs=epochs, members=len(members)))
-    parts = {split: load_split(dataset, split) for split in ("train", "validation", "test")}
-    for split in ("train", "validation"):
+    parts = {split: load_split(dataset, split) for split in ("train", "validation", "calibration", "test")}
+    for split in ("train", "validation", "calibration"):
         parts[split] = jax.tree.map(lambda leaf: leaf[:trajectories], parts[split])
     examples = {split: label(ensemble, part, labels) for split, part in parts.items()}
     for split, some in examples.items():
@@ -109,7 +109,7 @@ def sweep_thresholds(
         model = member(models, i)
         spare, test = (
             judged_kept(model.logit, examples[split], parts[split].obstacles, float(threshold))
-            for split in ("validation", "test")
+            for split in ("calibration", "test")
         )
         scores = np.asarray(fit_calibration(*spare)(jnp.asarray(test[0])))
         measured.append(judge(scores, test[1], float(threshold), i % seeds))

@@ -30,6 +30,7 @@ from doojax.learning.presets import (
     recovery_preset,
     voxel_classifier_preset,
 )
+from doojax.learning.provenance import SAW, seen_data
 from doojax.learning.recovery import RecoveryProblem, label_recovery
 from doojax.learning.reliability import ClassifierProblem, judged_kept, require_both_classes
 from doojax.learning.runs import RunDirectory
@@ -66,7 +67,12 @@ def train_dynamics(
     members = fit(problem, chosen.fit, seed=seed, run=run, report=report)
     ensemble = Ensemble(members)
     config = {**asdict(chosen.network), "members": chosen.fit.members}
-    about = {"preset": preset, "seed": seed, "threshold_m": error_threshold(ensemble, validation)}
+    about = {
+        "preset": preset,
+        "seed": seed,
+        "threshold_m": error_threshold(ensemble, load_split(dataset, "calibration")),
+        SAW: seen_data([dataset]),
+    }
     header = Header("dynamics", task.name, config, about)
     run.finish(header, ensemble)
     return header
@@ -89,7 +95,8 @@ def train_full_dynamics(
     train, validation = (windows(part, steps) for part in parts.values())
     problem = FullDynamicsProblem(train, validation, chosen.network)
     model = member(fit(problem, chosen.fit, seed=seed, run=run, report=report), 0)
-    header = Header("full_dynamics", task.name, asdict(chosen.network), {"preset": preset, "seed": seed})
+    about = {"preset": preset, "seed": seed, SAW: seen_data(datasets)}
+    header = Header("full_dynamics", task.name, asdict(chosen.network), about)
     run.finish(header, model)
     return header
 
@@ -107,33 +114,36 @@ def train_classifier(
     threshold: float | None = None,
 ) -> Header:
     """A calibrated classifier, from distances or from voxels, and its conformal thresholds."""
-    dataset, ensemble, task, threshold = judged_data(data, dynamics, threshold)
+    dataset, ensemble, task, threshold, judged = judged_data(data, dynamics, threshold)
     network, preset_of = CLASSIFIERS[kind]
     chosen = _with_epochs(preset_of(preset, task), epochs)
     labels = labels_preset(preset)
     files = {"data": data / MANIFEST, "dynamics": model_file(dynamics)}
     settings = {"threshold_m": threshold, "labels": asdict(labels)}
     run = open_run(out, kind, task.name, chosen, seed, files, **settings)
-    parts = [load_split(dataset, split) for split in ("train", "validation")]
-    train, validation = (label(ensemble, part, labels) for part in parts)
-    require_both_classes(train, threshold, "train")
-    require_both_classes(validation, threshold, "validation")
+    splits = ("train", "validation", "calibration")
+    parts = [load_split(dataset, split) for split in splits]
+    train, validation, spare = (label(ensemble, part, labels) for part in parts)
+    for split, examples in zip(splits, (train, validation, spare), strict=True):
+        require_both_classes(examples, threshold, split)
     problem = ClassifierProblem(
         train, parts[0].obstacles, validation, parts[1].obstacles, network, chosen.network
     )
     models = fit(problem, chosen.fit, seed=seed, run=run, members=jnp.array([threshold]), report=report)
     model = member(models, 0)
-    logits, right = judged_kept(model.logit, validation, parts[1].obstacles, threshold)
+    logits, right = judged_kept(model.logit, spare, parts[2].obstacles, threshold)
     calibration = fit_calibration(logits, right)
     model = eqx.tree_at(lambda m: m.calibration, model, calibration)
     probabilities = np.asarray(calibration(jnp.asarray(logits)))
-    safe = {str(alpha): conformal_threshold(probabilities, right, alpha) for alpha in ALPHAS}
+    numbers = np.asarray(spare.trajectory)[np.asarray(spare.kept(threshold))]
+    safe = {str(alpha): conformal_threshold(probabilities, right, alpha, numbers) for alpha in ALPHAS}
     about = {
         "preset": preset,
         "seed": seed,
         "threshold_m": threshold,
         "labels": asdict(labels),
         "conformal_thresholds": {a: value for a, value in safe.items() if np.isfinite(value)},
+        SAW: seen_data([dataset], [judged]),
     }
     header = Header(kind, task.name, asdict(chosen.network), about)
     run.finish(header, model)
@@ -151,8 +161,8 @@ def train_recovery(
     report: Report,
 ) -> Header:
     """A recovery network that begins with a classifier's encoder."""
-    dataset, ensemble, task, _ = judged_data(data, dynamics, None)
-    judge, _ = load_model(classifier, task=task.name, kind="classifier")
+    dataset, ensemble, task, _, judged = judged_data(data, dynamics, None)
+    judge, begun = load_model(classifier, task=task.name, kind="classifier")
     chosen = _with_epochs(recovery_preset(preset, judge), epochs)
     files = {
         "data": data / MANIFEST,
@@ -176,6 +186,7 @@ def train_recovery(
     models = fit(problem, chosen.fit, seed=seed, run=run, report=report)
     model = member(models, 0)
     about = {"preset": preset, "seed": seed, "stuck_states": len(train)}
+    about[SAW] = seen_data([dataset], [judged, begun])
     header = Header("recovery", task.name, asdict(chosen.network), about)
     run.finish(header, model)
     return header
@@ -186,8 +197,11 @@ def model_file(path: Path) -> Path:
     return path / MODEL if path.is_dir() else path
 
 
-def judged_data(data: Path, dynamics: Path, threshold: float | None) -> tuple[Dataset, Ensemble, Any, float]:
-    """Phase-two data with the dynamics whose predictions are compared with it, and the threshold."""
+def judged_data(
+    data: Path, dynamics: Path, threshold: float | None
+) -> tuple[Dataset, Ensemble, Task, float, Header]:
+    """Phase-two data, the dynamics whose predictions are compared with it, the task, the threshold (m) of
+    their error, and the dynamics' header."""
     dataset = open_dataset(data)
     name = dataset.config["task"]
     if dataset.config.get("phase") != "constrained":
@@ -200,7 +214,7 @@ def judged_data(data: Path, dynamics: Path, threshold: float | None) -> tuple[Da
         threshold = own_threshold(header, dynamics)
     if not threshold > 0:
         raise ValueError(f"the threshold of the error is {threshold}, expected a positive length (m)")
-    return dataset, ensemble, make_task(name), threshold
+    return dataset, ensemble, make_task(name), threshold, header
 
 
 def _with_epochs(preset: Preset, epochs: int | None) -> Preset:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from doojax.geometry.sdf import segment_signed_distance, signed_distance
+from doojax.models.protocols import Reliability
 from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
 
@@ -24,6 +25,24 @@ class Always(Jittable):
     ) -> Float[Array, ""]:
         """One."""
         return jnp.ones(())
+
+
+class Stricter(Jittable):
+    """Another judge's scores with a threshold of one's own."""
+
+    judge: Reliability
+    threshold: float
+
+    def __call__(
+        self,
+        obstacles: Obstacles,
+        state: RopeState,
+        action: Float[Array, "G 3"],
+        next_state: RopeState,
+        uncertainty: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """The other judge's score."""
+        return self.judge(obstacles, state, action, next_state, uncertainty)
 
 
 class CollisionChecker(Jittable):

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from doojax.geometry.frames import exact_product
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.modules import Jittable
 from doojax.types import Obstacles, RopeState
@@ -41,4 +42,4 @@ def carried_along(state: RopeState, action: Float[Array, "G 3"]) -> RopeState:
     else:
         place = jnp.linspace(0.0, 1.0, count)[:, None]
         share = jnp.concatenate([1 - place, place], axis=1)
-    return RopeState(points=state.points + share @ action, grippers=state.grippers + action)
+    return RopeState(points=state.points + exact_product(share, action), grippers=state.grippers + action)

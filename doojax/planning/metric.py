@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from doojax.geometry.frames import exact_product
 from doojax.planning.goals import Goal
 from doojax.tasks.base import Box
 from doojax.types import RopeState
@@ -47,7 +48,7 @@ def rope_sample(
     draws = jax.random.uniform(key, (4 + goal.bodies.size,))  # at once: every call costs seconds to compile
     yaw = 2 * jnp.pi * draws[0]
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-    turned = shape @ jnp.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    turned = exact_product(shape, jnp.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
     low, high = jnp.array(workspace.low), jnp.array(workspace.high)
     somewhere = turned - turned.mean(0) + low + (high - low) * draws[1:4]
     chosen = jnp.argmax(jnp.where(goal.bodies, draws[4:].reshape(goal.bodies.shape), -1.0), axis=-1)
@@ -91,7 +92,7 @@ def nearest(
         )
         allowed &= start + jnp.arange(chunk) < filled
         length = (points**2).sum(-1) + (grippers**2).sum(-1)
-        along = points @ ours[0].T + grippers @ ours[1].T
+        along = exact_product(points, ours[0].T) + exact_product(grippers, ours[1].T)
         squared = jnp.where(
             allowed[:, None], length[:, None] - 2 * along, jnp.inf
         )  # rejected ones may be NaN

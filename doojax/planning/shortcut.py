@@ -20,13 +20,14 @@ def shortened(planner: Rrt, problem: Problem, tree: Tree, plan: Plan) -> tuple[T
     """A plan of fewer actions, if one is found, and the tree with its new nodes after the others.
 
     ``planner.settings.shortcuts`` times as many shortcuts as the planner has lanes are tried side by side,
-    and the one that reaches the goal by the fewest actions is kept. No step is let pass by luck.
+    and the one that reaches the goal by the fewest actions is kept. No step is let pass by luck. Every step
+    that is predicted for a shortcut is an extension, and the plan that is returned counts it.
 
     Args:
         planner: that of the search.
         problem: one.
         tree: its tree, on the host.
-        plan: the tree's; returned as it is unless it solves the problem.
+        plan: the tree's; returned as it is unless it solves the problem and shortcuts are tried.
     """
     if plan.status != "solved":
         return tree, plan
@@ -56,6 +57,7 @@ def _round(
     judge = eqx.tree_at(lambda p: p.dynamics, planner, None)  # which may be no pytree
     states = jax.tree.map(lambda leaf: jnp.asarray(leaf[plan.nodes[leave]]), tree.state)
     going, steps = np.ones(lanes, dtype=bool), []
+    tried = accepted = 0
     best: tuple[int, float, int, int] | None = None  # actions, metres from the goal, lane, steps of the lane
     for step, action in enumerate(actions):
         before = jax.tree.map(lambda leaf: leaf[None], states)
@@ -64,7 +66,10 @@ def _round(
         found = _judge(judge, problem, states, jnp.asarray(action), after, uncertainty)
         score, fine, distance = (np.asarray(values) for values in found)
         there = distance <= near
-        going &= fine & (step < ends)
+        going &= step < ends
+        tried += int(going.sum())
+        going &= fine
+        accepted += int(going.sum())
         steps.append((after, score, distance))
         for lane in np.flatnonzero(going & there):
             reached = (int(leave[lane]) + step + 1, float(distance[lane]), int(lane), step + 1)
@@ -73,6 +78,7 @@ def _round(
         if not going.any():
             break
         states = after
+    plan = plan._replace(extensions=plan.extensions + tried, accepted=plan.accepted + accepted)
     if best is None or best[0] >= length:
         return tree, plan
     _, _, lane, count = best

@@ -46,7 +46,7 @@ class Plan(NamedTuple):
     actions: Float[np.ndarray, "t G 3"]  # m - 1 displacements, metres
     states: RopeState  # predicted, [m]
     goal_distance: float  # m, predicted at the end
-    extensions: int  # tried
+    extensions: int  # tried, those of shortcuts included
     accepted: int
 
 

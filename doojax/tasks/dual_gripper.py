@@ -1,6 +1,6 @@
 """Hold a rope by both ends over a cluttered table, bring its midpoint to a point (thesis section 2.5.3)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from doojax.geometry.frames import quaternion_from_yaw
+from doojax.geometry.frames import exact_product, quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
@@ -39,8 +39,8 @@ BANK = 128
 SETTLE_PERIODS = 4
 
 
-def default_scene() -> Scene:
-    """25 links of 3.2 cm between two grippers, a table, five boxes and two hooks on it."""
+def default_scene(crowd: int = 1) -> Scene:
+    """25 links of 3.2 cm between two grippers, a table, five boxes and two hooks on it, times the crowd."""
     hold = partial(Gripper, radius=0.01, max_force=5.0, max_speed=0.15)
     table = Obstacle("table", (_box((0.8, 1.5, 0.12)),), friction=0.6)
     boxes = [Obstacle(f"box{i}", (_box(size),), friction=1.0) for i, size in enumerate(BOXES)]
@@ -51,6 +51,11 @@ def default_scene() -> Scene:
         Obstacle(
             "hook1", (_box((0.04, 0.08, 0.28)), _box((0.18, 0.08, 0.02), (0.0, 0.0, 0.14))), friction=1.0
         ),
+    ]
+    crowded = [
+        replace(one, name=one.name if copy == 0 else f"{one.name}_{copy}")
+        for copy in range(crowd)
+        for one in (*boxes, *hooks)
     ]
     return Scene(
         name="dual_gripper",
@@ -65,7 +70,7 @@ def default_scene() -> Scene:
             friction=0.5,
         ),
         grippers=(hold(link=0, end=-1), hold(link=LINKS - 1, end=1)),
-        obstacles=(table, *boxes, *hooks),
+        obstacles=(table, *crowded),
         timestep=0.006,
         substeps=150,
         viscosity=0.15,  # else the rope still swings at the end of a period, 8 mm RMS in the next
@@ -87,6 +92,11 @@ class DualGripper:
     goal_point: int = MIDPOINT
     workspace: Box = WORKSPACE
     scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
+
+    @classmethod
+    def crowded(cls, crowd: int) -> "DualGripper":
+        """The task with ``crowd`` times the usual number of obstacles."""
+        return cls(scene=default_scene(crowd))
 
     @property
     def trajectory_states(self) -> dict[str, int]:
@@ -116,11 +126,12 @@ class DualGripper:
         from doojax.tasks.starts import RandomStart
 
         check_phase(phase)
+        crowd = (len(self.scene.obstacles) - 1) // (len(BOXES) + 2)
         return RandomStart(
             self._bank,
             scene=self.scene,
             place_rope=partial(_place_rope, REACH[phase]),
-            placements=_placements() if phase == "constrained" else None,
+            placements=_placements(crowd) if phase == "constrained" else None,
         )
 
     def simulator(self, engine: str = "auto", phase: Phase = "constrained"):
@@ -189,7 +200,7 @@ def _place_rope(reach: Box, key: Array, points: Float[Array, "P 3"]) -> tuple[Ar
     yaw_key, position_key = jax.random.split(key)
     yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
     cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-    turned = points @ jnp.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    turned = exact_product(points, jnp.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
     grippers = turned[-2:]
     low = jnp.array(reach.low) - grippers.min(0)
     high = jnp.array(reach.high) - grippers.max(0)
@@ -197,7 +208,7 @@ def _place_rope(reach: Box, key: Array, points: Float[Array, "P 3"]) -> tuple[Ar
     return jax.random.uniform(position_key, (3,), minval=low, maxval=jnp.maximum(high, low)), yaw
 
 
-def _placements():
+def _placements(crowd: int):
     """The table where it stands, boxes and hooks anywhere on it at any yaw."""
 
     def table(key):
@@ -211,4 +222,4 @@ def _placements():
         return jnp.stack([x, y, jnp.array(TABLE_TOP + height / 2)]), quaternion_from_yaw(yaw)
 
     heights = [size[2] for size in BOXES] + [0.18, 0.28]
-    return (table, *(partial(on_table, height) for height in heights))
+    return (table, *(partial(on_table, height) for height in heights * crowd))

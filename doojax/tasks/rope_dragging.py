@@ -24,6 +24,7 @@ from doojax.tasks.base import (
 from doojax.types import Obstacles, RopeState, ShapeKind
 
 LINKS, RADIUS = 10, 0.02
+CUBES, CORNERS, WALLS = 6, 3, 4
 CUBE, CORNER_HEIGHT, WALL_HEIGHT = 0.125, 0.05, 0.15  # half sizes, m
 ARENA = 1.0  # m from the centre to a wall's middle
 EXTENT = Box((-1.2, -1.2, 0.0), (1.2, 1.2, 1.0))  # of gripper targets
@@ -32,8 +33,8 @@ MAX_ACTION = 0.15  # m
 BANK = 64
 
 
-def default_scene() -> Scene:
-    """10 planar links of 5 cm on the floor, 6 cubes, 3 corners, 4 walls."""
+def default_scene(crowd: int = 1) -> Scene:
+    """10 planar links of 5 cm on the floor, 6 cubes and 3 corners for each of the crowd, 4 walls."""
     cube = Shape(ShapeKind.BOX, (CUBE, CUBE, CUBE))
     corner = (
         Shape(ShapeKind.BOX, (0.25, 0.04, CORNER_HEIGHT)),
@@ -48,9 +49,9 @@ def default_scene() -> Scene:
         ),
         grippers=(Gripper(link=LINKS - 1, end=1, radius=0.02, max_force=10.0, max_speed=0.18),),
         obstacles=(
-            *(Obstacle(f"cube{i}", (cube,)) for i in range(6)),
-            *(Obstacle(f"corner{i}", corner) for i in range(3)),
-            *(Obstacle(f"wall{i}", (wall,)) for i in range(4)),
+            *(Obstacle(f"cube{i}", (cube,)) for i in range(CUBES * crowd)),
+            *(Obstacle(f"corner{i}", corner) for i in range(CORNERS * crowd)),
+            *(Obstacle(f"wall{i}", (wall,)) for i in range(WALLS)),
         ),
         timestep=0.005,
         substeps=200,
@@ -75,6 +76,11 @@ class RopeDragging:
     workspace: Box = WORKSPACE
     scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
 
+    @classmethod
+    def crowded(cls, crowd: int) -> "RopeDragging":
+        """The task with ``crowd`` times the usual number of obstacles."""
+        return cls(scene=default_scene(crowd))
+
     @property
     def trajectory_states(self) -> dict[str, int]:
         """States of a trajectory in the thesis's data, by phase."""
@@ -96,11 +102,12 @@ class RopeDragging:
 
         check_phase(phase)
         constrained = phase == "constrained"
+        crowd = (len(self.scene.obstacles) - WALLS) // (CUBES + CORNERS)
         return RandomStart(
             self._bank,
             scene=self.scene,
             place_rope=partial(_place_rope, 0.8 if constrained else 1.0),
-            placements=_placements() if constrained else None,
+            placements=_placements(crowd) if constrained else None,
         )
 
     def simulator(self, engine: str = "auto", phase: Phase = "constrained"):
@@ -163,7 +170,7 @@ def _place_rope(extent: float, key: Array, points: Float[Array, "P 3"]) -> tuple
     return jnp.append(position - turned, 0.0), yaw
 
 
-def _placements():
+def _placements(crowd: int):
     """Cubes and corners anywhere on the floor at any yaw; walls where they stand."""
 
     def on_floor(height, key):
@@ -177,7 +184,7 @@ def _placements():
         return jnp.array(centre, dtype=jnp.float32), quaternion_from_yaw(jnp.array(angle + np.pi))
 
     return (
-        *(partial(on_floor, CUBE) for _ in range(6)),
-        *(partial(on_floor, CORNER_HEIGHT) for _ in range(3)),
+        *(partial(on_floor, CUBE) for _ in range(CUBES * crowd)),
+        *(partial(on_floor, CORNER_HEIGHT) for _ in range(CORNERS * crowd)),
         *(partial(wall, angle) for angle in (0.0, np.pi / 2, np.pi, 3 * np.pi / 2)),
     )

@@ -28,17 +28,18 @@ LINKS, PITCH, RADIUS, HEIGHT = 5, 0.05, 0.01, 0.05
 MAX_ACTION = 0.1
 REACH = Box((-0.5, -0.5, HEIGHT), (0.5, 0.5, HEIGHT))
 WALL = (0.15, -0.1, HEIGHT)  # centre of the one obstacle, m
+MORE = (-0.15, 0.2, HEIGHT)  # of the second; further ones stand where it does
 
 
-def default_scene() -> Scene:
-    """Five points behind one gripper, and a wall in the middle of the floor."""
+def default_scene(crowd: int = 1) -> Scene:
+    """Five points behind one gripper, and a wall in the middle of the floor, or more of them."""
     wall = Shape(ShapeKind.BOX, (0.02, 0.3, 0.1))
     return Scene(
         name="toy",
         rope_model=RopeModel("point_masses", LINKS),
         rope=RopeParameters(length=LINKS * PITCH, radius=RADIUS, mass=0.1, bending_stiffness=0.0),
         grippers=(Gripper(link=LINKS - 1, end=0, radius=RADIUS, max_force=1.0, max_speed=0.1),),
-        obstacles=(Obstacle("wall", (wall,)),),
+        obstacles=tuple(Obstacle(f"wall{i}" if i else "wall", (wall,)) for i in range(crowd)),
     )
 
 
@@ -59,9 +60,11 @@ class ToySimulator(Jittable):
 
     def reset(self, key: Array) -> SimState:
         """A straight rope anywhere in reach, clear of the wall, pointing anywhere."""
-        position, quaternion = parked_poses(1)
+        count = len(self.scene.obstacles)
+        position, quaternion = parked_poses(count)
         if self.phase == "constrained":
-            position, quaternion = jnp.array([WALL]), jnp.array([[1.0, 0.0, 0.0, 0.0]])
+            position = jnp.array([WALL] + [MORE] * (count - 1))
+            quaternion = jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (count, 1))
         obstacles = obstacles_at(self.scene, position, quaternion)
 
         def draw(key):
@@ -146,6 +149,11 @@ class Toy:
     goal_point: int = 0
     workspace: Box = REACH
     scene: Scene = field(default_factory=default_scene)
+
+    @classmethod
+    def crowded(cls, crowd: int) -> "Toy":
+        """The task with ``crowd`` times the usual number of obstacles."""
+        return cls(scene=default_scene(crowd))
 
     @property
     def trajectory_states(self) -> dict[str, int]:

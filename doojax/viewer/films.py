@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from doojax.datasets import Dataset
 from doojax.experiments.drawing import Drawing
-from doojax.experiments.records import PredictionRecord, TrialRecord
+from doojax.experiments.records import PredictionRecord, TrialRecord, body_of
 from doojax.viewer import colours
 from doojax.viewer.episodes import episode, episode_of, title
 from doojax.viewer.show import plan_at, show_episode, show_execution, show_plan, show_prediction
@@ -75,7 +75,7 @@ def film_of_prediction(record: PredictionRecord, index: int) -> Film:
 def film_of_trial(record: TrialRecord) -> Film:
     """A trial: at every moment the search and the plan being followed, and what was executed."""
     world = episode_of(record)
-    nodes = [plan.points[:, record.goal_point] for plan in record.plans]
+    nodes = [body_of(plan.points, plan.grippers, record.goal_point) for plan in record.plans]
     everything = np.concatenate([world.corners(), record.goal[None], *nodes]).astype(np.float32)
 
     def set_up(drawing: Drawing) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from doojax.experiments.drawing import Colour, Drawing
-from doojax.experiments.records import Look, PlanRecord, PredictionRecord, TrialRecord
+from doojax.experiments.records import Look, PlanRecord, PredictionRecord, TrialRecord, body_of
 from doojax.viewer import colours
 from doojax.viewer.episodes import Episode
 from doojax.viewer.shapes import extended, smooth
@@ -165,13 +165,13 @@ def show_plan(
         drawing: where to.
         plan: the search.
         look: sizes.
-        point: the rope's point at which a node is drawn.
+        point: the body at which a node is drawn: the rope's points are counted first, then the grippers.
         by: "depth" or "score", what the colours of accepted nodes say.
         rejected: whether extensions that were rejected are shown.
         tree: whether anything but the path is shown.
     """
     drawing.remove("plan")
-    places = plan.points[:, point]
+    places = body_of(plan.points, plan.grippers, point)
     shown = np.flatnonzero((plan.accepted | rejected) & tree & (plan.parent >= 0))
     if len(shown):
         edges = np.stack([places[plan.parent[shown]], places[shown]], axis=1)
@@ -190,7 +190,7 @@ def show_execution(drawing: Drawing, record: TrialRecord, moment: float) -> None
     """
     points, grippers = between(record.points, moment), between(record.grippers, moment)
     show_rope(drawing, "now", points, grippers, record.look)
-    way = record.points[: int(moment) + 1, record.goal_point]
+    way = record.goal_way[: int(moment) + 1]
     if len(way) < 2:
         drawing.remove("executed")
     else:

@@ -68,7 +68,7 @@ class TrialPage:
 
     def _start(self) -> None:
         record = self._record
-        distance = np.linalg.norm(record.points[:, record.goal_point] - record.goal, axis=-1)
+        distance = np.linalg.norm(record.goal_way - record.goal, axis=-1)
         self._plot.set({"distance": 100 * distance}, {"threshold": 100 * record.goal_radius})
         self.player.set_states(len(record.points))
         self._show(0.0)
@@ -88,7 +88,7 @@ class TrialPage:
         show_execution(self._page.drawing, record, moment)
         self._plot.mark(moment)
         past = [event for event in record.events if event.step <= moment]
-        distance = float(np.linalg.norm(record.points[int(moment), record.goal_point] - record.goal))
+        distance = float(np.linalg.norm(record.goal_way[int(moment)] - record.goal))
         lines = [f"goal {100 * distance:.1f} cm away (reached within {100 * record.goal_radius:.0f} cm)"]
         lines += [f"last event: **{past[-1].kind}** {plain(past[-1].text)}"] if past else []
         self._facts.content = "  \n".join(lines)

@@ -420,12 +420,12 @@ def test_ropes_obstacles_and_trajectories(stored):
 @given(environment=hnp.arrays(np.int32, st.integers(0, 120), elements=st.integers(-5, 40)))
 def test_splits_are_disjoint_whole_and_keep_scenes_together(environment):
     splits = split_by_environment(environment)
-    assert list(splits) == ["train", "validation", "test"]
+    assert list(splits) == ["train", "validation", "calibration", "test"]
     assert sorted(np.concatenate(list(splits.values()))) == list(range(len(environment)))
     scenes = [set(environment[part]) for part in splits.values()]
     assert len(set().union(*scenes)) == sum(map(len, scenes))
     largest = max(np.bincount(environment + 5), default=0)
-    for part, fraction in zip(splits.values(), (0.75, 0.125, 0.125), strict=True):
+    for part, fraction in zip(splits.values(), (0.7, 0.1, 0.1, 0.1), strict=True):
         assert abs(len(part) - fraction * len(environment)) <= largest
         assert np.all(np.diff(part) > 0)
     if len(environment):
@@ -443,22 +443,25 @@ def test_splits_do_not_depend_on_the_order_of_trajectories(environment, seed):
 
 
 def test_splits_of_equal_scenes_are_exact():
-    splits = split_by_environment(np.repeat(np.arange(768), 8))
-    assert [len(part) for part in splits.values()] == [4608, 768, 768]
-    assert not np.array_equal(splits["train"], np.arange(4608))
+    splits = split_by_environment(np.repeat(np.arange(770), 8))
+    assert [len(part) for part in splits.values()] == [4312, 616, 616, 616]
+    assert not np.array_equal(splits["train"], np.arange(4312))
+
+
+SPLITS = ("train", "validation", "calibration", "test")
 
 
 def test_splits_of_a_data_set(tmp_path):
     collect(tmp_path / "many", n=40)
     dataset = Dataset.open(tmp_path / "many")
-    assert [len(dataset.split(name)) for name in ("train", "validation", "test")] == [30, 4, 6]
-    with pytest.raises(ValueError, match="there is no split 'val', only train, validation, test"):
+    assert [len(dataset.split(name)) for name in SPLITS] == [28, 4, 4, 4]
+    with pytest.raises(ValueError, match="no split 'val', only train, validation, calibration, test"):
         dataset.split("val")
     collect(tmp_path / "no scenes", n=16, schema={"points": SCHEMA["points"]})
     dataset = Dataset.open(tmp_path / "no scenes")
-    assert [len(dataset.split(name)) for name in ("train", "validation", "test")] == [12, 2, 2]
+    assert [len(dataset.split(name)) for name in SPLITS] == [11, 2, 1, 2]
     collect(tmp_path / "few", n=2)
-    with pytest.raises(ValueError, match="the test split is empty: 1 scenes are too few, collect 8 or more"):
+    with pytest.raises(ValueError, match="the test split is empty: 1 scenes are too few, collect 10 or more"):
         Dataset.open(tmp_path / "few").split("test")
 
 

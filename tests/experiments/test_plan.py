@@ -68,6 +68,16 @@ def test_only_planned_nothing_moves_and_goals_may_be_combined(tmp_path):
     assert f"{100 * distance:.1f} cm from the goal" in record.events[0].text
 
 
+def test_a_grippers_goal_is_drawn_from_the_gripper(tmp_path):
+    """Not from the rope's last point, which for gripper 0 of two is the other end."""
+    toy(method="oracle", grippers=((-0.1, -0.4, HEIGHT),), out=tmp_path / "plan.npz")
+    record = load_record(tmp_path / "plan.npz")
+    assert record.goal_point == record.points.shape[1]  # the first body behind the rope's points
+    assert np.array_equal(record.goal_way, record.grippers[:, 0])
+    missing = np.linalg.norm(record.goal_way[-1] - record.goal)
+    assert missing == pytest.approx(record.about["final_error_m"], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("options", "expected"),
     [

@@ -10,9 +10,14 @@ from hypothesis import strategies as st
 
 from doojax.experiments import scenes
 from doojax.experiments.difficulty import bottleneck, difficulty
+from doojax.experiments.evaluate import evaluate
+from doojax.experiments.records import load_record
 from doojax.geometry.sdf import signed_distance
-from doojax.tasks.toy import HEIGHT
+from doojax.tasks import make_task
+from doojax.tasks.toy import HEIGHT, Toy
 from tests.planning.problems import TOY, walls
+
+from .toy_trials import PLANNING, SETTINGS
 
 
 def widest_by_networkx(clearance, begin, end) -> float:
@@ -77,7 +82,7 @@ def test_where_the_rope_is_caught_an_obstacle_held_the_last_action_back(tmp_path
     drawn = scenes.draw_scenes(TOY, 5, 3, caught=True)
     scenes.save_scenes(tmp_path / "caught.scenes", drawn)
     read = scenes.load_scenes(tmp_path / "caught.scenes")
-    assert read.caught and "held back" in scenes.rule(read.caught)
+    assert read.caught and "held back" in scenes.rule(read.difficulty, read.caught)
     assert not scenes.draw_scenes(TOY, 1, 3).caught
     simulator = TOY.simulator()
     obstacles = jax.vmap(simulator.obstacles)(read.starts)
@@ -86,6 +91,67 @@ def test_where_the_rope_is_caught_an_obstacle_held_the_last_action_back(tmp_path
     distance = jax.vmap(signed_distance)(obstacles, bodies).min(1)
     assert (np.asarray(distance) < 0.01 + scenes.TOUCHING).all()  # the radius of rope and gripper is 1 cm
     assert (read.sizes["straight_clearance"] < 0).all()
+
+
+class Noting(Toy):
+    """The toy task; it notes on which engine it is simulated."""
+
+    def simulator(self, engine="auto", phase="constrained"):
+        asked.append(engine)
+        return super().simulator(engine, phase)
+
+
+asked = []
+
+
+def test_scenes_do_not_depend_on_the_engine_that_a_machine_prefers():
+    scenes.draw_scenes(Noting(), 1, 3, caught=True)
+    assert set(asked) == {"mujoco"}
+
+
+def test_difficulties_are_what_they_say():
+    easy, narrow = (scenes.draw_scenes(TOY, 8, 3, kind) for kind in ("easy", "narrow"))
+    dense = scenes.draw_scenes(make_task("toy", crowd=2), 8, 3, "dense")
+    radius = TOY.scene.rope.radius
+    for one in (easy, narrow, dense):
+        assert (one.sizes["straight_clearance"] < 0).all() and (one.sizes["bottleneck"] > radius).all()
+    assert (narrow.sizes["bottleneck"] <= 3 * radius).all() and easy.sizes["bottleneck"].max() > 3 * radius
+    assert (easy.crowd, narrow.crowd, dense.crowd) == (1, 1, 2)
+    assert dense.starts.obstacle_position.shape[1] == 2 * easy.starts.obstacle_position.shape[1]
+    assert len({one.stream for one in (easy, narrow, dense)}) == 3
+    starts = np.concatenate([one.starts.qpos for one in (easy, narrow, dense)])
+    assert len(np.unique(starts, axis=0)) == 24  # each from a stream of its own
+    with pytest.raises(ValueError, match="unknown difficulty 'hard', expected one of easy, narrow, dense"):
+        scenes.crowd_of("hard")  # type: ignore
+
+
+@pytest.mark.parametrize("name", ["rope_dragging", "dual_gripper"])
+def test_a_crowd_is_twice_the_obstacles_but_for_what_encloses_them(name):
+    one, two = make_task(name), make_task(name, crowd=2)
+    fixed = {"rope_dragging": 4, "dual_gripper": 1}[name]
+    count, double = len(one.scene.obstacles), len(two.scene.obstacles)
+    assert double - fixed == 2 * (count - fixed)
+    assert len({obstacle.name for obstacle in two.scene.obstacles}) == double
+    assert len(two.start().placements) == double
+    with pytest.raises(ValueError, match="crowd is 0, expected at least 1"):
+        make_task(name, crowd=0)
+
+
+def test_a_dense_set_is_read_as_one_and_evaluated_with_its_obstacles(tmp_path):
+    scenes.scenes("toy", count=2, difficulty="dense", out=tmp_path / "toy.scenes")
+    read = scenes.load_scenes(tmp_path / "toy.scenes")
+    assert (read.difficulty, read.crowd, read.stream) == ("dense", 2, "scenes/toy/dense")
+    evaluate(
+        "toy",
+        methods=("collision_checker",),
+        scenes=tmp_path / "toy.scenes",
+        out=tmp_path / "out",
+        planning=PLANNING,
+        budget=SETTINGS,
+        side_by_side=2,
+    )
+    record = load_record(tmp_path / "out" / "collision_checker" / "00000.npz")
+    assert record.obstacles.kind.shape == (2,)
 
 
 def test_files_that_are_no_scenes_are_refused(tmp_path):

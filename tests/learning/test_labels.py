@@ -71,6 +71,35 @@ def test_from_every_state_for_two_steps(still):
     assert np.asarray(found.right(0.005)).tolist() == [False, False, True, True, True]
 
 
+@pytest.mark.parametrize("rollout", ["mean", "members"])
+def test_the_last_transition_of_a_window_that_runs_past_the_end(still, rollout):
+    """The last action moves the rope by 5 cm; whoever predicts that it stands still is 5 cm off there."""
+    data = trajectories([0.0, 0.0, 0.0, 0.05])
+    found = label(still, data, LabelConfig(start_every=1, horizon=2, rollout=rollout))
+    # starts 0, 0, 1, 1, 2: the second of start 1 and the only one of start 2 end where the trajectory ends
+    np.testing.assert_allclose(found.error, [0, 0, 0, 0.05, 0.05], atol=1e-7)
+    np.testing.assert_allclose(found.error_before, 0, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("start_every", "horizon", "discard"),
+    [(1, 2, "after first"), (2, 4, "while far"), (3, 7, "after first"), (5, 10, "while far")],
+)
+def test_labels_beside_a_plain_loop(still, start_every, horizon, discard):
+    """No two states of these ropes are at one place, so that an index that is off by one shows."""
+    x = np.cumsum(np.random.default_rng(0).uniform(0.01, 0.05, (2, 8)), axis=1)
+    expected = []
+    for row in x:
+        for start in range(0, 7, start_every):
+            errors = [abs(row[min(start + step, 7)] - row[start]) for step in range(horizon + 1)]
+            for step in range(min(horizon, 7 - start)):
+                before = max(errors[: step + 1]) if discard == "after first" else errors[step]
+                expected.append((before, errors[step + 1]))
+    config = LabelConfig(start_every=start_every, horizon=horizon, discard=discard)
+    found = label(still, trajectories(*x), config)
+    np.testing.assert_allclose(np.stack([found.error_before, found.error], 1), expected, atol=1e-6)
+
+
 def test_states_that_a_transition_begins_with_are_predicted_ones(still):
     data = trajectories([0.0, 0.01, 0.02])
     found = label(still, data, LabelConfig(start_every=1, horizon=2))

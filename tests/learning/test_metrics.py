@@ -80,7 +80,7 @@ def test_no_gradient_reaches_a_calibration():
 
 
 def test_calibration_needs_both_classes():
-    with pytest.raises(ValueError, match="all 3 validation examples are wrong"):
+    with pytest.raises(ValueError, match="all 3 calibration examples are wrong"):
         fit_calibration(np.arange(3.0), np.zeros(3, bool))
 
 
@@ -114,3 +114,36 @@ def test_the_conformal_promise_holds_on_average_and_is_not_wasteful(alpha):
         wrong.append((passed & ~right[500:]).sum() / max(passed.sum(), 1))
     error = np.std(wrong) / len(wrong) ** 0.5
     assert 0.6 * alpha < np.mean(wrong) <= alpha + 2 * error
+
+
+def test_one_more_trajectory_counts_as_wrong_by_hand():
+    scores = np.array([0.9, 0.8, 0.7, 0.6, 0.5, 0.4])
+    right, trajectory = np.ones(6, bool), np.array([0, 0, 1, 1, 1, 2])
+    # transitions a trajectory, from the top: 1, 2, 3/2, 2, 5/2, 2; of the accepted: 1, 1, 1/2, 1/2, 1/2, 1/3
+    assert conformal_threshold(scores, right, 0.34, trajectory) < 0.4
+    assert conformal_threshold(scores, right, 0.32, trajectory) == float("inf")
+    assert conformal_threshold(scores[:5], right[:5], 0.5, trajectory[:5]) < 0.5
+
+
+@given(st.integers(0, 10_000), st.sampled_from([0.1, 0.3]))
+def test_trajectories_of_one_transition_are_as_no_trajectories(seed, alpha):
+    scores, right = drawn(60, 2.0, 1.0, seed)
+    alone = np.random.default_rng(seed).permutation(60)
+    assert conformal_threshold(scores, right, alpha, alone) == conformal_threshold(scores, right, alpha)
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.2])
+def test_the_promise_is_kept_where_transitions_of_a_trajectory_are_alike(alpha):
+    """Ten transitions of a trajectory share what makes them hard. Thresholds from 50 trajectories are tried
+    on 50 others, and count where they accept anything; as if all were independent, too much is wrong."""
+    kept, naive = [], []
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        trajectory = np.repeat(np.arange(100), 10)
+        hard, scores = np.repeat(rng.normal(0, 2, 100), 10), rng.normal(0, 1.1, 1000)
+        right = rng.random(1000) < 1 / (1 + np.exp(-(2 * scores + hard + 1)))
+        for numbers, rates in ((trajectory[:500], kept), (None, naive)):
+            passed = scores[500:] > conformal_threshold(scores[:500], right[:500], alpha, numbers)
+            if passed.any():
+                rates.append((passed & ~right[500:]).sum() / passed.sum())
+    assert 0.6 * alpha < np.mean(kept) <= alpha < np.mean(naive)

@@ -8,13 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from doojax.models.recovery import carried_along
 from doojax.planning import all_of, gripper_goal, metric, point_goal
 from doojax.planning.goals import bodies_of
+from doojax.planning.metric import rope_sample
 from doojax.tasks import make_task
+from doojax.tasks.dual_gripper import REACH, _place_rope
 from doojax.tasks.toy import HEIGHT, PITCH
 from doojax.types import RopeState
 
-from .problems import TOY
+from .problems import TOY, problem
 
 DUAL = make_task("dual_gripper")
 CAPACITY = 2500  # more than two chunks, and no multiple of one
@@ -133,3 +136,22 @@ def test_the_thesiss_sample_crumples_the_rope_into_a_point():
     there = metric.point_sample(jax.random.key(0), TOY.workspace, shape, goal, jnp.array(True))
     assert (np.asarray(free) == np.asarray(free[0])).all()
     assert (np.asarray(there) == np.asarray(goal.targets[0])).all()
+
+
+def test_lengths_are_not_multiplied_in_a_gpus_short_precision():
+    """By default a GPU rounds factors of float32 products to three digits, millimetres here."""
+    state = RopeState(jnp.zeros((4, 5, 3)), jnp.zeros((4, 1, 3)))
+    goal, key = problem().goal, jax.random.key(0)
+    shape = jnp.zeros((6, 3))
+    traced = [
+        jax.make_jaxpr(lambda *a: metric.nearest(*a, jnp.ones(4, bool), jnp.array(4)))(
+            jnp.zeros((2, 6, 3)), state
+        ),
+        jax.make_jaxpr(lambda k: rope_sample(k, TOY.workspace, shape, goal, jnp.array(True)))(key),
+        jax.make_jaxpr(carried_along)(jax.tree.map(lambda leaf: leaf[0], state), jnp.zeros((1, 3))),
+        jax.make_jaxpr(lambda k: _place_rope(REACH["constrained"], k, jnp.zeros((5, 3))))(key),
+    ]
+    for text in map(str, traced):
+        assert (
+            text.count("dot_general[") == text.count("precision=(Precision.HIGHEST, Precision.HIGHEST)") > 0
+        )
