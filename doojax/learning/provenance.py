@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from doojax.datasets.files import MANIFEST, file_digest
+from doojax.datasets.files import MANIFEST
 from doojax.datasets.store import Dataset
+from doojax.files import file_digest
 from doojax.learning.checkpoints import Header
 
 SAW = "saw"  # its name in a header's ``about``
