@@ -67,7 +67,6 @@ def collect(
     if states < 2:
         raise ValueError(f"states is {states}, expected at least 2: one action leads to a second state")
     engine = resolve_engine(engine)
-    names = ("collect", task, phase)
     config = {
         "task": task,
         "scene": the_task.scene.digest,
@@ -75,7 +74,7 @@ def collect(
         "states": states,
         "engine": engine,
         "seed": seed,
-        "stream": "/".join(names),
+        "stream": "/".join(_stream_names(the_task, phase)),
         **({"rope": rope.given} if rope.given else {}),
     }
     with alone_in(out):
@@ -92,6 +91,10 @@ def collect(
             console.print(f"{out} is complete already: {trajectories} trajectories")
 
 
+def _stream_names(task: Task, phase: Phase) -> tuple[str, ...]:
+    return "collect", task.name, phase
+
+
 def _write_missing(
     writer: DatasetWriter, the_task: Task, phase: Phase, engine: str, seed: int, states: int, console: Console
 ) -> int:
@@ -102,7 +105,7 @@ def _write_missing(
     with progress_bar(console) as progress:
         bar = progress.add_task(f"{the_task.name} on {engine}", total=sum(len(row) for row in rows), note="")
         for shard, row in zip(missing, rows, strict=True):
-            keys = numbered(stream(seed, *names), row)
+            keys = numbered(stream(seed, *_stream_names(the_task, phase)), row)
             start, _, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
             _require_room(start, row)
             writer.write(shard, stored_arrays(simulator, start, trajectory, np.array(row)))
