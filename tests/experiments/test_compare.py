@@ -158,10 +158,12 @@ def test_the_figures_reach_a_summary(folder, tmp_path):
     summary = read_summary(tmp_path / "summary.json")
     assert summary.runs[-1].seed == 3
     found = {row.identity: row for row in summary.rows}
-    rate = found['success_rate {"method": "classifier", "task": "toy"}']
+    rate = found['success_rate {"difficulty": "easy", "method": "classifier", "task": "toy"}']
     assert (rate.value, rate.n) == (pytest.approx(11 / 12), 12) and rate.low < rate.value < rate.high
-    assert found['recovery_actions {"method": "classifier", "task": "toy"}'].value == 24
-    assert found['oracle_success {"scenes": 12, "task": "toy"}'].value == pytest.approx(11 / 12)
+    assert found['recovery_actions {"difficulty": "easy", "method": "classifier", "task": "toy"}'].value == 24
+    assert found['oracle_success {"difficulty": "easy", "scenes": 12, "task": "toy"}'].value == pytest.approx(
+        11 / 12
+    )
     metrics = {row.metric for row in summary.rows}
     assert metrics == {
         *("success_rate", "final_error_mean_m", "final_error_median_m", "recovery_actions", "plan_s"),
