@@ -125,12 +125,12 @@ class PlanRecord:
     """One search: a tree of n nodes, those that were rejected included, and the path that was chosen."""
 
     step: int  # executed states before this plan was made: it starts from state ``step``
-    parent: Int[np.ndarray, "n"]  # index of each node's parent, which stands before it; -1 for the root
-    points: Float[np.ndarray, "n N 3"]
-    grippers: Float[np.ndarray, "n G 3"]
-    accepted: Bool[np.ndarray, "n"]  # false: an extension that was tried and rejected
-    path: Int[np.ndarray, "m"]  # nodes from the root on; empty where nothing was found
-    score: Float[np.ndarray, "n"] | None = None  # of the extension that led here, as the reliability gave it
+    parent: Int[np.ndarray, "_n"]  # index of each node's parent, which stands before it; -1 for the root
+    points: Float[np.ndarray, "_n N 3"]
+    grippers: Float[np.ndarray, "_n G 3"]
+    accepted: Bool[np.ndarray, "_n"]  # false: an extension that was tried and rejected
+    path: Int[np.ndarray, "_m"]  # nodes from the root on; empty where nothing was found
+    score: Float[np.ndarray, "_n"] | None = None  # of the extension that led here, as the reliability gave it
 
     def __post_init__(self):
         """Refuse arrays that do not fit together."""

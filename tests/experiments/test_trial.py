@@ -31,7 +31,8 @@ def test_a_record_tells_what_happened_in_order(method):
         assert record.goal[:2] == pytest.approx(goal) and record.goal_point == 0
         assert about["actions"] == states - 1 == len(record.replay["actions"]) <= SETTINGS.actions
         assert about["searches"] == len(record.plans) <= SETTINGS.searches
-        assert about["extensions"] <= len(record.plans) * PLANNING.extensions
+        shortcuts = PLANNING.shortcuts * PLANNING.lanes * SETTINGS.actions
+        assert about["extensions"] <= len(record.plans) * (PLANNING.extensions + shortcuts)
 
         kinds, steps = [event.kind for event in record.events], [event.step for event in record.events]
         assert steps == sorted(steps) and kinds.index("end") == len(kinds) - 1

@@ -92,6 +92,7 @@ def cantilevers(settings: Settings, engine: str, links: tuple[int, ...] = LINKS)
             )
     for stiffness in STIFF if engine == "mujoco" else ():
         yield vibration(settings, engine, stiffness)
+        yield vibration(replace(settings, timestep=1e-3), engine, stiffness)
 
 
 def vibration(settings: Settings, engine: str, stiffness: float, links: int = 25) -> Finding:
@@ -99,7 +100,9 @@ def vibration(settings: Settings, engine: str, stiffness: float, links: int = 25
     scene = clamped_scene(links, stiffness, end=-1, damping=0.0)
     exact = cantilever_frequency(scene.rope.length, stiffness, scene.rope.mass)
     tags = {"bending_stiffness": stiffness, "links": links}
-    scene = settings.of(scene, 0.1 / exact)
+    scene = replace(settings.of(scene, 0.1 / exact), integrator="rk4")
+    if settings.timestep is not None:
+        tags["step_ms"] = 1e3 * settings.timestep
     try:
         start = state_of(scene, straight_qpos(scene, 1.0)[None])
         states = list(record(engine_of(scene, engine), start, round(12 / exact / scene.control_period)))
