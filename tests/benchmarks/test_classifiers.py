@@ -6,6 +6,7 @@ import pytest
 
 from doojax.benchmarks import classifiers as bench
 from doojax.experiments.reports import read_summary
+from doojax.keys import stream
 from doojax.learning.presets import classifier_preset
 from doojax.models.classifier import DistanceClassifier
 from doojax.tasks import make_task
@@ -25,7 +26,9 @@ def test_what_is_timed_judges_every_transition_in_its_own_scene():
     assert isinstance(moves.state, RopeState)
     np.testing.assert_allclose(moves.next_state.grippers, moves.state.grippers + moves.action, atol=1e-6)
     found = bench.runs_of(task, obstacles, moves)["quick", "classifier", 256]()
-    model = DistanceClassifier(classifier_preset("quick", task).network, key=jax.random.key(bench.SEED))
+    model = DistanceClassifier(
+        classifier_preset("quick", task).network, key=stream(bench.SEED, "bench", "network")
+    )
     for i in (0, 255):
         scene, one = jax.tree.map(lambda leaf, i=i: leaf[i], (obstacles, moves))
         alone = model(scene, one.state, one.action, one.next_state, one.uncertainty)
