@@ -3,7 +3,7 @@
 import numpy as np
 
 from doojax.simulation.rope import RopeModel, RopeParameters
-from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape
+from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
 from doojax.simulation.state import SimState
 from doojax.tasks.starts import resting, straight_qpos
 from doojax.types import ShapeKind
@@ -18,6 +18,7 @@ def planar_scene(substeps: int = 200, **changes) -> Scene:
         "obstacles": (Obstacle("cube", (Shape(ShapeKind.BOX, (0.05, 0.05, 0.05)),)),),
         "timestep": 0.005,
         "substeps": substeps,
+        "solver": SolverSettings(cone="pyramidal"),  # as rope_dragging has; MJX compiles it sooner
     }
     return Scene(**(settings | changes))
 

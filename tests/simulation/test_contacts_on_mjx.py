@@ -66,7 +66,7 @@ def test_contacts_for_which_there_is_no_room_are_a_fault():
         substeps=50,
         rope_model=RopeModel("planar_chain", 3),
         grippers=(Gripper(link=2, end=1, radius=0.02, max_force=10.0, max_speed=0.18),),
-        solver=SolverSettings(max_contact_points=1),
+        solver=SolverSettings(max_contact_points=1, cone="pyramidal"),
     )
     states = replace(
         straight_states(scene, 1),
