@@ -1,7 +1,7 @@
 """Derivatives through 20 steps of MJX, free and in steady contact, against finite differences.
 
-Forward mode works at any number of iterations; reverse mode cannot cross the solver's loop and needs one. Both
-need friction pyramids: MJX's elliptic cones have no derivative where nothing slides.
+Forward mode works at any number of iterations; reverse mode cannot cross the solver's loop and needs one.
+Both need friction pyramids: MJX's elliptic cones have no derivative where nothing slides.
 """
 
 from dataclasses import replace
