@@ -128,7 +128,7 @@ def test_a_loss_that_is_not_finite_names_member_and_epoch(tmp_path):
 
 
 def test_another_run_is_not_gone_on_with(whole):
-    with pytest.raises(ValueError, match=r"what: 'lines' -> 'circles'"):
+    with pytest.raises(ValueError, match='what: "lines" -> "circles"'):
         RunDirectory.open(whole[0].path, {"what": "circles"})
 
 
