@@ -75,7 +75,7 @@ def evaluate(
         models: a folder of trained models, or of folders with a model.eqx each; by default those that come
             with doojax. Where there are none, the dynamics are the simulator's own without obstacles.
         scenes: a file that doojax scenes wrote, or the name of a set that comes with doojax, such as
-            dual_gripper_caught; by default the one named after the task.
+            rope_dragging_dense; by default the one named after the task.
         trials: how many, from the first scene on; by default one for every scene.
         seed: of everything that is random.
         rope: what of the rope differs from the task's own, in all scenes; they may bring one of their own.
