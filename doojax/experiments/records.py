@@ -257,7 +257,7 @@ def load_record(path: Path | str) -> Record:
     header, arrays = read_arrays(path, what)
     header = header if isinstance(header, dict) else {}
     name, version = header.pop("format", None), header.pop("version", None)
-    if name not in FORMATS:
+    if not isinstance(name, str) or name not in FORMATS:
         raise ValueError(f"{path} is not a record of doojax: its format is none of {', '.join(FORMATS)}")
     if version != VERSION:
         raise ValueError(

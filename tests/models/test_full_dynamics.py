@@ -48,7 +48,7 @@ def pushed(count, steps, seed, first_row=0):
 def learned(tmp_path_factory):
     problem = FullDynamicsProblem(windows([pushed(192, 3, 0)], 3), windows([pushed(64, 3, 1)], 3), CONFIG)
     run = RunDirectory.open(tmp_path_factory.mktemp("run") / "fit", {})
-    config = FitConfig(epochs=25, batch_size=32, learning_rate=3e-3)
+    config = FitConfig(epochs=40, batch_size=32, learning_rate=3e-3)
     models = fit(problem, config, seed=0, run=run)
     return jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, models), run
 
