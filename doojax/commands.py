@@ -25,6 +25,10 @@ BENCHMARKS: Commands = {
     "planner": ("doojax.benchmarks.planner:planner", "extensions per second beside OMPL's RRT"),
     "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
     "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
+    "augment": (
+        "doojax.benchmarks.augmentation:augmentation",
+        "augmentations per second, and how far their outcomes are from the simulator's",
+    ),
     "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
     "cosserat": (
         "doojax.benchmarks.cosserat:cosserat",
@@ -47,6 +51,10 @@ BENCHMARKS: Commands = {
 
 COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
+    "augment": (
+        "doojax.augmentation.command:augment_dataset",
+        "move what a data set holds to where it is as valid",
+    ),
     "train": ("doojax.experiments.train:train", "train dynamics, a classifier, a recovery network"),
     "evaluate-model": (
         "doojax.experiments.evaluate_model:evaluate_model",

@@ -6,7 +6,7 @@ and batch it with `jax.vmap`.
 """
 
 from enum import IntEnum
-from typing import Annotated
+from typing import Annotated, Protocol, runtime_checkable
 
 import equinox as eqx
 from jax import Array
@@ -18,11 +18,28 @@ Size = Annotated[int, Meta(ge=1, le=65_536)]
 Depth = Annotated[int, Meta(ge=0, le=64)]  # of what is built one after the other
 
 
+@runtime_checkable
+class Motion(Protocol):
+    """What becomes of places and directions, such as `doojax.geometry.motion.RigidMotion`."""
+
+    def points(self, points: Float[Array, "*p 3"]) -> Float[Array, "*p 3"]:
+        """Places, m: turned and moved."""
+        ...
+
+    def vectors(self, vectors: Float[Array, "*p 3"]) -> Float[Array, "*p 3"]:
+        """Directions, velocities, displacements: turned only."""
+        ...
+
+
 class RopeState(eqx.Module):
     """What a planner or a learner sees of the world: points along the rope and the grippers' positions."""
 
     points: Float[Array, "*b N 3"]  # world frame, metres; index 0 is the rope's first link
     grippers: Float[Array, "*b G 3"]  # world frame, metres
+
+    def moved(self, motion: Motion) -> "RopeState":
+        """The same rope, held alike, elsewhere."""
+        return RopeState(points=motion.points(self.points), grippers=motion.points(self.grippers))
 
 
 class ShapeKind(IntEnum):
@@ -60,3 +77,19 @@ class Trajectory(eqx.Module):
     faults: Int[Array, "*b T"]  # bit set of doojax.simulation.Fault, per control period
     clearance: Float[Array, "*b T1"]  # m, least distance of rope and grippers to an obstacle, per state
     stretch: Float[Array, "*b T1"]  # by what fraction of its length the rope, held or not, is too long
+
+
+class Verdict(IntEnum):
+    """What became of an augmentation; the `verdict` of each row of an augmented data set."""
+
+    ORIGINAL = 0  # no augmentation: the example itself
+    ACCEPTED = 1
+    BOX = 2  # rejected: it would leave the workspace
+    INVALID = 3  # rejected: the transform is none for this task
+    OCCUPANCY = 4  # rejected: something would touch an obstacle that did not, or the other way round
+    DISTANCE = 5  # rejected: what was near an obstacle would be far, or the other way round
+    ROBOT = 6  # rejected: the robot cannot follow
+    NO_PROGRESS = 7  # rejected: it got no further than the least motion from where it was
+    NOTHING_MOVED = 8  # refused: nothing moved in the example
+    OUTSIDE = 9  # refused: the example itself leaves the workspace
+    FAULTY = 10  # refused: the example has a fault or values that are missing

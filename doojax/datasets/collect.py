@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from rich.console import Console
 
-from doojax.commands import command_line
+from doojax.commands import COMMANDS, command_line, load
 from doojax.datasets.manifest import Field, Manifest
 from doojax.datasets.progress import progress_bar
 from doojax.datasets.writer import DatasetWriter
@@ -120,12 +121,28 @@ def _write_missing(
 
 def command_of(manifest: Manifest, out: Path) -> str | None:
     """The command that made a data set, complete, to be run into the folder ``out``; None if none did."""
+    if "augmentation" in manifest.config:
+        return _augmentation_of(manifest.config["augmentation"], out)
     given = ("task", "phase", "states", "engine", "seed")
     if not set(given) <= set(manifest.config):
         return None
     arguments = {name: manifest.config[name] for name in given}
     arguments["rope"] = OtherRope(**manifest.config.get("rope", {}))
     return command_line(collect, {**arguments, "trajectories": manifest.trajectories, "out": out})
+
+
+def _augmentation_of(config: dict[str, Any], out: Path) -> str:
+    """The command that made an augmented data set."""
+    function = load(str(COMMANDS["augment"][0]))
+    defaults = {name: one.default for name, one in signature(function).parameters.items()}
+    groups = {  # of numbers and of lists, which stand for tuples
+        name: type(defaults[name])(
+            **{key: tuple(value) if isinstance(value, list) else value for key, value in config[name].items()}
+        )
+        for name in ("bounds", "projection")
+    }
+    plain = {name: config[name] for name in ("copies", "steps", "seed")}
+    return command_line(function, {"data": Path(config["data"]), "out": out, **plain, **groups})
 
 
 def random_trajectories(

@@ -17,6 +17,7 @@ from rich.table import Table
 from doojax.datasets.collect import command_of
 from doojax.datasets.store import Dataset
 from doojax.simulation.state import Fault
+from doojax.types import Verdict
 
 QUATERNION_TOLERANCE = 1e-5  # a few roundings of float32
 STRETCH_BOUNDS = (0.01, 0.03)
@@ -139,6 +140,11 @@ def _marks(arrays: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
         yield "states within 1 mm of an obstacle", arrays["clearance"] < 0.001
         yield "trajectories within 1 mm of an obstacle", (arrays["clearance"] < 0.001).any(axis=1)
         yield "states more than 2 mm inside an obstacle", arrays["clearance"] < -0.002
+    if "verdict" in arrays:
+        tried = arrays["verdict"][arrays["verdict"] != Verdict.ORIGINAL]
+        for verdict in Verdict:
+            if verdict != Verdict.ORIGINAL:
+                yield f"augmentations: {verdict.name.lower().replace('_', ' ')}", tried == verdict
     if "stretch" in arrays:
         for bound in STRETCH_BOUNDS:
             yield f"states stretched by more than {bound:.0%}", arrays["stretch"] > bound

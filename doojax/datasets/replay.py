@@ -112,6 +112,11 @@ def stored_starts(dataset: Dataset, rows: Int[np.ndarray, "B"]) -> SimState:
 def _from_dataset(dataset: Dataset, number: int):
     if not 0 <= number < len(dataset):
         raise ValueError(f"there is no trajectory {number}: {dataset.path} holds 0 to {len(dataset) - 1}")
+    if not np.isfinite(dataset["initial_qpos"][number]).all():
+        raise ValueError(
+            f"the start of trajectory {number} of {dataset.path} is not stored: it was "
+            "rejected as an augmentation, or begins within a trajectory"
+        )
     return (
         dataset.config["engine"],
         jax.tree.map(lambda leaf: leaf[0], stored_starts(dataset, np.array([number]))),

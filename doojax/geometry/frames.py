@@ -54,6 +54,17 @@ def quaternion_from_yaw(yaw: Float[Array, "*b"]) -> Float[Array, "*b 4"]:
     return jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)], axis=-1)
 
 
+def quaternion_from_rotation_vector(vector: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
+    """The rotation about ``vector`` by its length in radians; smooth at zero, where it is none."""
+    square = jnp.sum(vector * vector, axis=-1, keepdims=True)
+    small = square < 1e-6
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    # the series' next term is below 1e-21
+    real = jnp.where(small, 1 - square / 8 + square**2 / 384, jnp.cos(angle / 2))
+    scale = jnp.where(small, 0.5 - square / 48 + square**2 / 3840, jnp.sin(angle / 2) / angle)
+    return jnp.concatenate([real, scale * vector], axis=-1)
+
+
 def quaternion_yaw(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b"]:
     """Heading of the body's x axis in the world's xy plane, radians in (-pi, pi].
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from doojax.geometry.frames import quaternion_from_yaw, quaternion_multiply, rotate
+from doojax.geometry.frames import quaternion_from_yaw, quaternion_multiply, quaternion_yaw, rotate
 from doojax.geometry.sdf import signed_distance
 from doojax.modules import Jittable
 from doojax.simulation.scenes import Scene, obstacles_at, parked_poses
@@ -82,7 +82,50 @@ def moved(
     scene: Scene, qpos: Float[Array, "nq"], translation: Float[Array, "3"], yaw: Float[Array, ""]
 ) -> Float[Array, "nq"]:
     """Turn rope and grippers about the world's z axis by ``yaw`` (rad), then move by ``translation`` (m)."""
-    turn = quaternion_from_yaw(yaw)
+    return _moved_positions(scene, qpos, translation, quaternion_from_yaw(yaw), yaw)
+
+
+def moved_state(
+    scene: Scene, state: SimState, translation: Float[Array, "3"], quaternion: Float[Array, "4"]
+) -> SimState:
+    """Rope and grippers turned about the world's origin, then moved by ``translation`` (m).
+
+    Velocities and commands go with them, obstacles stay. In a planar scene only the turn about z and the
+    translation in the plane count.
+    """
+    yaw = quaternion_yaw(quaternion)
+    turn = quaternion_from_yaw(yaw) if scene.planar else quaternion
+    count, width = len(scene.grippers), 2 if scene.planar else 3
+    if scene.rope_model.kind == "point_masses":
+        qvel = rotate(turn, state.qvel.reshape(-1, 3)).reshape(-1)
+    else:  # a root's angular velocity is its own frame's, or about z
+        linear = _turned(turn, state.qvel[:width])
+        hands = _turned(turn, state.qvel[-width * count :].reshape(count, width)).reshape(-1)
+        qvel = jnp.concatenate([linear, state.qvel[width : len(state.qvel) - width * count], hands])
+    return replace(
+        state,
+        qpos=_moved_positions(scene, state.qpos, translation, turn, yaw),
+        qvel=qvel,
+        commanded=_turned(turn, state.commanded) + translation[:width],
+    )
+
+
+def _turned(turn: Float[Array, "4"], vectors: Float[Array, "*b D"]) -> Float[Array, "*b D"]:
+    """Vectors in space, or in the plane by a turn about z."""
+    flat = vectors.shape[-1] == 2
+    spatial = jnp.concatenate([vectors, jnp.zeros((*vectors.shape[:-1], 1))], -1) if flat else vectors
+    return rotate(turn, spatial)[..., : vectors.shape[-1]]
+
+
+def _moved_positions(
+    scene: Scene,
+    qpos: Float[Array, "nq"],
+    translation: Float[Array, "3"],
+    turn: Float[Array, "4"],
+    yaw: Float[Array, ""],
+) -> Float[Array, "nq"]:
+    if scene.rope_model.kind == "point_masses":  # whose positions are in the world
+        return (rotate(turn, qpos.reshape(-1, 3)) + translation).reshape(-1)
     if scene.planar:
         root, grippers = qpos[:3], qpos[-2 * len(scene.grippers) :].reshape(-1, 2)
         origin = jnp.array([_middle_offset(scene), 0.0, 0.0])

@@ -1,0 +1,288 @@
+"""`doojax augment`: a data set beside its augmentations, as a data set like any other."""
+
+import warnings
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from rich.console import Console
+
+from doojax.augmentation.projection import ProjectionConfig
+from doojax.augmentation.ropes import (
+    Augmented,
+    Bounds,
+    RopeExamples,
+    Setting,
+    augment,
+    moving_points,
+    upright,
+)
+from doojax.datasets.files import MANIFEST
+from doojax.datasets.manifest import Field
+from doojax.datasets.progress import progress_bar
+from doojax.datasets.store import Dataset
+from doojax.datasets.writer import DatasetWriter
+from doojax.files import alone_in, file_digest
+from doojax.geometry.motion import RigidMotion
+from doojax.geometry.sdf import signed_distance
+from doojax.keys import numbered, stream
+from doojax.simulation.state import SimState
+from doojax.tasks.base import Task
+from doojax.tasks.ropes import task_of
+from doojax.tasks.starts import moved_state
+from doojax.types import Obstacles, RopeState, Verdict
+
+SHARD_SIZE = 64
+MOVING = ("points", "grippers", "actions", "clearance", "stretch")  # NaN where an augmentation was rejected
+STARTS = ("initial_qpos", "initial_qvel", "initial_commanded")
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """Which row is what: each example's own row, then its ``copies`` augmentations."""
+
+    trajectories: int  # of the original data set
+    periods: int  # of one of them
+    steps: int  # of an example
+    copies: int
+
+    @property
+    def windows(self) -> int:
+        return self.periods // self.steps
+
+    @property
+    def rows(self) -> int:
+        return self.trajectories * self.windows * (1 + self.copies)
+
+    def place(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of each row: the original trajectory, the first period, and whether it is an augmentation."""
+        example, copy = np.divmod(rows, 1 + self.copies)
+        trajectory, window = np.divmod(example, self.windows)
+        return trajectory, window * self.steps, copy > 0
+
+
+def augment_dataset(
+    data: Path,
+    /,
+    *,
+    out: Path,
+    copies: int = 5,
+    steps: int | None = None,
+    bounds: Bounds = Bounds(),  # noqa: B008
+    projection: ProjectionConfig = ProjectionConfig(),  # noqa: B008
+    seed: int = 0,
+) -> None:
+    """Write a data set beside augmentations of it: moved rigidly to where they touch as they did.
+
+    Row by row an example and its augmentations, with the example's scene, so that both data sets have the
+    same scenes in each split. A rejected augmentation keeps its row, without values but for what was drawn
+    and why it was rejected; training leaves such rows out. Runs on from where it was killed, to the same
+    bytes. An augmentation depends on the data, the options, the seed and its row alone.
+
+    Args:
+        data: the data set, complete.
+        out: the new one's folder; new, empty, or the same augmentation unfinished.
+        copies: augmentations tried for each example.
+        steps: actions of an example: trajectories are cut up, and what remains is left out; 1 gives
+            transitions, and by default they stay whole.
+        bounds: between which transforms are drawn.
+        projection: how it searches, and what it accepts.
+        seed: of the transforms.
+
+    Raises:
+        ValueError: for data that are unfinished or of no rope, or counts out of range.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # said below
+        source = Dataset.open(data)
+    plan = _planned(source, copies, steps)
+    task = task_of(source.config)
+    setting = Setting.of(task, bounds)
+    config = {
+        **source.config,
+        "states": plan.steps + 1,
+        "augmentation": {
+            "data": str(data),
+            "manifest_sha256": file_digest(data / MANIFEST),
+            "copies": copies,
+            "steps": steps,
+            "bounds": asdict(bounds),
+            "projection": asdict(projection),
+            "seed": seed,
+        },
+    }
+    console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    with alone_in(out):
+        writer = DatasetWriter.open(
+            out, config=config, schema=schema(source, plan.steps), n=plan.rows, shard_size=SHARD_SIZE
+        )
+        missing = writer.missing_shards()
+        counts = Counter()
+        with progress_bar(console) as progress:
+            total = sum(len(writer.manifest.rows(shard)) for shard in missing)
+            bar = progress.add_task(f"augmenting {task.name}", total=total, note="")
+            for shard in missing:
+                rows = np.array(writer.manifest.rows(shard))
+                arrays = _shard(source, task, setting, projection, plan, rows, seed)
+                writer.write(shard, arrays)
+                counts.update(arrays["verdict"].tolist())
+                tried = sum(counts.values()) - counts[Verdict.ORIGINAL]
+                share = f"{counts[Verdict.ACCEPTED] / max(tried, 1):.0%} accepted"
+                progress.advance(bar, len(rows))
+                progress.update(bar, note=share)
+        writer.finish()
+    if missing:
+        found = ", ".join(
+            f"{counts[verdict]} {verdict.name.lower().replace('_', ' ')}"
+            for verdict in Verdict
+            if counts[verdict]
+        )
+        console.print(f"{plan.rows} examples of {plan.steps + 1} states in {out}: {found}")
+    else:
+        console.print(f"{out} is complete already: {plan.rows} examples")
+
+
+def schema(source: Dataset, steps: int) -> dict[str, Field]:
+    """The fields of ``source``, for examples of ``steps`` actions, and where each example comes from."""
+    fields = {}
+    for name, field in source.fields.items():
+        if name in ("points", "grippers", "clearance", "stretch"):
+            field = replace(field, shape=(steps + 1, *field.shape[1:]))
+        elif name in ("actions", "faults"):
+            field = replace(field, shape=(steps, *field.shape[1:]))
+        fields[name] = replace(field, may_be_missing=name in (*MOVING, *STARTS) or field.may_be_missing)
+    return fields | {
+        "original": Field((), "int32", "1", "number of the trajectory in the data that were augmented"),
+        "first_period": Field((), "int32", "1", "the period of it that the example begins with"),
+        "verdict": Field((), "int32", "1", "doojax.types.Verdict"),
+        "transform": Field(
+            (6,),
+            "float32",
+            "m, rad",
+            "translation, rotation vector, about the centre",
+            may_be_missing=True,
+        ),
+        "centre": Field((3,), "float32", "m", "what the example is turned about", may_be_missing=True),
+        "target": Field((6,), "float32", "m, rad", "the transform that was drawn; zero for originals"),
+    }
+
+
+def _planned(source: Dataset, copies: int, steps: int | None) -> _Plan:
+    needed = ("points", "grippers", "actions", "faults", "obstacle_kind", "body_position", *STARTS)
+    lacking = [name for name in needed if name not in source.fields]
+    if lacking:
+        raise ValueError(f"{source.path} holds no ropes to augment: no field {', '.join(lacking)}")
+    if "verdict" in source.fields:
+        raise ValueError(
+            f"{source.path} is augmented already: augment {source.config['augmentation']['data']}"
+        )
+    if not source.complete:
+        raise ValueError(f"{source.path} is unfinished: resume its collection first")
+    if copies < 1:
+        raise ValueError(f"copies is {copies}, expected at least 1")
+    periods = source.fields["actions"].shape[0]
+    steps = periods if steps is None else steps
+    if not 1 <= steps <= periods:
+        raise ValueError(f"steps is {steps}, expected 1 to {periods}, as many as the trajectories have")
+    return _Plan(len(source), periods, steps, copies)
+
+
+def _shard(
+    source: Dataset,
+    task: Task,
+    setting: Setting,
+    projection: ProjectionConfig,
+    plan: _Plan,
+    rows: np.ndarray,
+    seed: int,
+) -> dict[str, np.ndarray]:
+    """All fields of some rows."""
+    trajectory, first, augmented = plan.place(rows)
+    needed, where = np.unique(trajectory, return_inverse=True)
+    values = {name: source[name][needed][where] for name in source.fields}
+    for name in ("points", "grippers", "clearance", "stretch", "actions", "faults"):
+        length = plan.steps + (name not in ("actions", "faults"))
+        values[name] = np.take_along_axis(
+            values[name],
+            (first[:, None] + np.arange(length)).reshape(-1, length, *[1] * (values[name].ndim - 2)),
+            axis=1,
+        )
+    for name in STARTS:  # of trajectories are known, of what was cut out of them are not
+        values[name][first > 0] = np.nan
+    full = np.resize(np.arange(len(rows)), SHARD_SIZE)  # one batch size is one program, and one rounding
+    batch = {name: jnp.asarray(value[full]) for name, value in values.items()}
+    examples = RopeExamples(
+        states=RopeState(batch["points"], batch["grippers"]),
+        actions=batch["actions"],
+        obstacles=Obstacles(**{name: batch[f"obstacle_{name}"] for name in Obstacles.__annotations__}),
+        sound=(batch["faults"] == 0).all(1),
+    )
+    found = augment(numbered(stream(seed, "augment"), rows[full]), examples, setting, projection)
+    starts = SimState(
+        qpos=batch["initial_qpos"],
+        qvel=batch["initial_qvel"],
+        commanded=batch["initial_commanded"],
+        obstacle_position=batch["body_position"],
+        obstacle_quaternion=batch["body_quaternion"],
+        holding=jnp.ones((SHARD_SIZE, task.grippers), dtype=bool),
+        faults=jnp.zeros(SHARD_SIZE, dtype=jnp.int32),
+        model_fields={},
+    )
+    changed = _derived(task, setting, examples, found, starts)
+    changed["stretch"] = np.where(np.isnan(changed["clearance"]), np.nan, np.asarray(batch["stretch"]))
+    arrays = {name: value.copy() for name, value in values.items()}
+    for name, value in changed.items():
+        mine = np.asarray(value)[: len(rows)].astype(arrays[name].dtype)
+        mask = augmented.reshape(-1, *[1] * (mine.ndim - 1))
+        arrays[name] = np.where(mask, mine, arrays[name])
+    verdict = np.where(augmented, np.asarray(found.verdict)[: len(rows)], int(Verdict.ORIGINAL))
+
+    def own(value: Array, original: float) -> np.ndarray:
+        return np.where(augmented[:, None], np.asarray(value)[: len(rows)], np.float32(original))
+
+    accepted = np.isin(verdict, (Verdict.ACCEPTED, Verdict.ORIGINAL))[:, None]
+    return arrays | {
+        "original": trajectory.astype(np.int32),
+        "first_period": first.astype(np.int32),
+        "verdict": verdict.astype(np.int32),
+        "transform": own(found.transform, 0.0),
+        "centre": np.where(accepted, np.asarray(found.centre)[: len(rows)], np.float32(np.nan)),
+        "target": own(found.target, 0.0),
+    }
+
+
+@eqx.filter_jit
+def _moved(
+    task: Task, setting: Setting, examples: RopeExamples, found: Augmented, starts: SimState
+) -> tuple[SimState, Array]:
+    def one(states: RopeState, obstacles: Obstacles, motion: RigidMotion, start: SimState):
+        points, radii = moving_points(setting, states, between=0)
+        around = upright(obstacles) if setting.planar else obstacles
+        distance = (signed_distance(around, points) - radii).reshape(len(states.points), -1).min(-1)
+        start = moved_state(task.scene, start, motion.about_origin, motion.quaternion)
+        return start, distance
+
+    return jax.vmap(one)(found.states, examples.obstacles, found.motion, starts)
+
+
+def _derived(
+    task: Task, setting: Setting, examples: RopeExamples, found: Augmented, starts: SimState
+) -> dict[str, Any]:
+    """The fields that an augmentation changes; NaN where it was rejected."""
+    moved, clearance = _moved(task, setting, examples, found, starts)
+    rejected = (found.verdict != Verdict.ACCEPTED)[:, None]
+    return {
+        "points": found.states.points,
+        "grippers": found.states.grippers,
+        "actions": found.actions,
+        "clearance": jnp.where(rejected, jnp.nan, clearance),
+        "initial_qpos": jnp.where(rejected, jnp.nan, moved.qpos),
+        "initial_qvel": jnp.where(rejected, jnp.nan, moved.qvel),
+        "initial_commanded": jnp.where(rejected[..., None], jnp.nan, moved.commanded),
+    }

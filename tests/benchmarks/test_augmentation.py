@@ -1,0 +1,36 @@
+"""The bench on the toy task, whose physics are the same everywhere but at its wall."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from doojax.augmentation import Setting, augment
+from doojax.benchmarks.augmentation import augmentation, compared, drawn
+from doojax.keys import numbered, stream
+from doojax.tasks import make_task
+from doojax.types import Verdict
+
+COUNT = 48
+
+
+def test_accepted_augmentations_are_what_the_simulator_does_and_random_ones_are_not():
+    task = make_task("toy")
+    simulator = task.simulator("mujoco", "constrained")
+    starts, examples = drawn(task, simulator, COUNT, 0)
+    found = augment(numbered(stream(0, "test"), range(COUNT)), examples, Setting.of(task))
+    errors = compared(task, simulator, starts, examples, found)
+    accepted = int((np.asarray(found.verdict) == Verdict.ACCEPTED).sum())
+    assert {name: len(values) for name, values in errors.items()} == {
+        "augmented": accepted,
+        "original": accepted,
+        "random": COUNT,
+    }
+    assert accepted > COUNT / 3
+    assert np.quantile(errors["augmented"], 0.9) < 1e-6
+    assert errors["random"].max() > 1e-3
+    assert jnp.isfinite(found.centre).all()
+
+
+def test_no_transitions():
+    with pytest.raises(ValueError, match="transitions is 0, expected at least 1"):
+        augmentation(transitions=0)
