@@ -1,4 +1,4 @@
-"""A state that is moved is that state elsewhere: the simulator sees the same rope, and does the same with it."""
+"""A state that is moved is that state elsewhere: the same rope, with which the simulator does the same."""
 
 from dataclasses import replace
 
