@@ -51,11 +51,11 @@ BENCHMARKS: Commands = {
 
 COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
+    "train": ("doojax.experiments.train:train", "train dynamics, a classifier, a recovery network"),
     "augment": (
         "doojax.augmentation.command:augment_dataset",
         "move what a data set holds to where it is as valid",
     ),
-    "train": ("doojax.experiments.train:train", "train dynamics, a classifier, a recovery network"),
     "evaluate-model": (
         "doojax.experiments.evaluate_model:evaluate_model",
         "measure a trained model on data that it has not seen",
