@@ -26,6 +26,7 @@ from doojax.geometry.sdf import segment_signed_distance as segment_signed_distan
 from doojax.geometry.sdf import signed_distance as signed_distance
 from doojax.geometry.sdf import signed_distance_and_gradient as signed_distance_and_gradient
 from doojax.geometry.sdf import signed_distances as signed_distances
+from doojax.geometry.segments import segment_distance as segment_distance
 from doojax.geometry.voxels import Grid as Grid
 from doojax.geometry.voxels import crop as crop
 from doojax.geometry.voxels import gaussian_raster as gaussian_raster

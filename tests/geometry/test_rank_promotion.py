@@ -56,9 +56,10 @@ CASES = {
         for function in (g.signed_distance, g.signed_distances, g.nearest_obstacle)
         for points in (POINT, LINE, MANY)
     ],
-    "segments": lambda: [
-        g.segment_signed_distance(OBSTACLES, points, 2 * points) for points in (POINT, MANY)
-    ],
+    "segments": lambda: (
+        [g.segment_signed_distance(OBSTACLES, points, 2 * points) for points in (POINT, MANY)]
+        + [g.segment_distance(points, 2 * points, -points, 3 * points) for points in (POINT, MANY)]
+    ),
     "gradients": lambda: (
         g.signed_distance_and_gradient(OBSTACLES, *(MANY[..., axis] for axis in range(3))),
         slope(g.signed_distance, OBSTACLES, MANY),

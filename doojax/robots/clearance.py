@@ -1,0 +1,71 @@
+"""How far a robot is from obstacles, the floor and itself: exact distances of its capsules."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from doojax.geometry.frames import rotate
+from doojax.geometry.sdf import FAR, segment_signed_distance
+from doojax.geometry.segments import segment_distance
+from doojax.robots.kinematics import link_poses
+from doojax.robots.robot import Robot
+from doojax.types import Obstacles
+
+
+def capsule_ends(robot: Robot, joints: Float[Array, "J"]) -> Float[Array, "2 S 3"]:
+    """Where the axes of the robot's capsules begin and end, in the base's frame, metres."""
+    positions, quaternions = link_poses(robot, joints)
+    links = np.array(robot.capsule_links, int)
+    return positions[links] + rotate(quaternions[links][None], robot.capsule_ends)
+
+
+def obstacle_distances(robot: Robot, joints: Float[Array, "J"], obstacles: Obstacles) -> Float[Array, "S"]:
+    """Distance of each capsule to the nearest obstacle (in the base's frame), metres, negative inside.
+
+    Inside it is how far the capsule's deepest ball would have to move; `doojax.geometry.FAR` or so where no
+    obstacle is active.
+    """
+    start, end = capsule_ends(robot, joints)
+    return segment_signed_distance(obstacles, start, end) - robot.capsule_radius
+
+
+def floor_distances(robot: Robot, joints: Float[Array, "J"], height: float = 0.0) -> Float[Array, "S"]:
+    """Distance of each capsule to a floor at ``height`` (m, base's frame), negative below it."""
+    return capsule_ends(robot, joints)[..., 2].min(0) - height - robot.capsule_radius
+
+
+def self_distance(robot: Robot, joints: Float[Array, "J"]) -> Float[Array, ""]:
+    """Least distance between two parts of the robot that must not touch, metres.
+
+    Those are `Robot.pairs`, and all of a link but the first with what of the robot does not move. Negative
+    where capsules overlap; two whose axes cross give minus the sum of their radii.
+    """
+    least = [jnp.asarray(FAR, joints.dtype)]
+    if robot.pairs:
+        least.append(capsule_distances(robot, joints, robot.pairs).min())
+    carried = np.array([robot.parents[link] >= 0 for link in robot.capsule_links], bool)
+    if carried.any() and robot.base.kind.size:
+        least.append(obstacle_distances(robot, joints, robot.base)[np.flatnonzero(carried)].min())
+    return jnp.min(jnp.stack(least))
+
+
+def clearance(
+    robot: Robot, joints: Float[Array, "J"], obstacles: Obstacles, floor: float | None = None
+) -> Float[Array, ""]:
+    """Least distance of the robot to obstacles, to itself and, if there is one, to the floor, metres."""
+    least = jnp.minimum(obstacle_distances(robot, joints, obstacles).min(), self_distance(robot, joints))
+    return least if floor is None else jnp.minimum(least, floor_distances(robot, joints, floor).min())
+
+
+def capsule_distances(
+    robot: Robot, joints: Float[Array, "J"], pairs: Sequence[tuple[int, int]]
+) -> Float[Array, "P"]:
+    """Distance between the capsules of each pair, metres, negative where they overlap."""
+    if not pairs:
+        return jnp.zeros(0, joints.dtype)
+    first, second = np.array(pairs).T
+    start, end = capsule_ends(robot, joints)
+    apart = segment_distance(start[first], end[first], start[second], end[second])
+    return apart - robot.capsule_radius[first] - robot.capsule_radius[second]

@@ -1,0 +1,98 @@
+"""Distances of the robot beside MuJoCo's between the same shapes."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from doojax.robots import (
+    DUAL_ARM,
+    clearance,
+    dual_arm,
+    floor_distances,
+    obstacle_distances,
+    read_robot,
+    self_distance,
+)
+from doojax.types import Obstacles
+
+from .test_kinematics import ODD_MODEL, within_limits
+
+ARMS = dual_arm()
+BOX = Obstacles(
+    jnp.zeros(1, int),
+    jnp.array([[0.1, 0.5, 0.3]]),
+    jnp.array([[1.0, 0, 0, 0]]),
+    jnp.array([[0.2, 0.1, 0.3]]),
+    jnp.ones(1, bool),
+)
+FLOOR = -0.445
+
+
+@jax.jit
+@jax.vmap
+def distances(joints):
+    return (
+        obstacle_distances(ARMS, joints, BOX),
+        self_distance(ARMS, joints),
+        floor_distances(ARMS, joints, FLOOR),
+        clearance(ARMS, joints, BOX, FLOOR),
+    )
+
+
+def test_distances_are_mujocos():
+    joints = within_limits(ARMS, 20)
+    spec = mujoco.MjSpec.from_file(str(DUAL_ARM))
+    kind = mujoco.mjtGeom.mjGEOM_BOX
+    spec.worldbody.add_geom(type=kind, size=BOX.half_size[0], pos=BOX.centre[0], name="box")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    names = [model.geom(g).name for g in range(model.ngeom) if model.geom_bodyid[g]]
+    pairs = [(names[i], names[j]) for i, j in ARMS.pairs]
+    links = zip(names, ARMS.capsule_links, strict=True)
+    pairs += [(name, "stand") for name, link in links if ARMS.parents[link] >= 0]
+    assert len(pairs) > 200
+    to_box, to_self, to_floor, least = map(np.asarray, distances(joints))
+    apart = 0
+
+    def between(a, b):
+        return mujoco.mj_geomDistance(model, data, model.geom(a).id, model.geom(b).id, 10, None)
+
+    for row, values in enumerate(joints):
+        data.qpos[:] = values
+        mujoco.mj_kinematics(model, data)
+        expected = np.array([between(name, "box") for name in names])
+        outside = expected > 0  # inside, MuJoCo's depth is another one
+        assert to_box[row][outside] == pytest.approx(expected[outside], abs=2e-5)
+        assert (to_box[row][~outside] <= 1e-5).all()
+        own = min(between(*pair) for pair in pairs)
+        assert (own > 0) == (to_self[row] > 0)
+        if own > 0:
+            apart += 1
+            assert to_self[row] == pytest.approx(own, abs=2e-5)
+        capsules = [(data.geom(name), model.geom(name).size) for name in names]
+        lowest = min(geom.xpos[2] - abs(geom.xmat[8]) * size[1] - size[0] for geom, size in capsules)
+        assert to_floor[row].min() == pytest.approx(lowest - FLOOR, abs=1e-5)
+        parts = to_box[row].min(), to_self[row], to_floor[row].min()
+        assert least[row] == pytest.approx(min(parts), abs=1e-6)
+    assert apart > 2
+
+
+def test_arms_at_rest_touch_nothing_and_arms_that_meet_do():
+    at = ARMS.joints.index
+    inward = jnp.zeros(20).at[at("left_shoulder_3")].set(-1.0).at[at("right_shoulder_3")].set(1.0)
+    batch = jnp.concatenate([jnp.zeros((19, 20)), inward[None]])
+    found = distances(batch)[1]
+    assert float(found[0]) > 0 and float(found[-1]) < 0
+
+
+def test_shapes_that_are_no_capsules_are_covered():
+    robot = read_robot(ODD_MODEL, ("tip",))
+    assert robot.base.kind.tolist() == [2]
+    assert np.asarray(robot.base.half_size[0]) == pytest.approx([0.1, 0.1, 0.2])
+    # the box of 0.05, 0.1, 0.02: along its longest side, around the others
+    expected = np.array([0.05**2 + 0.02**2, 0.03**2, 0.02**2]) ** 0.5
+    assert np.asarray(robot.capsule_radius) == pytest.approx(expected)
+    lengths = np.linalg.norm(robot.capsule_ends[1] - robot.capsule_ends[0], axis=-1)
+    assert lengths == pytest.approx([0.2, 0, 0], abs=1e-6)
