@@ -30,7 +30,10 @@ def x64():
 
 def compiled(iterations):
     """Step, where gripper and tail are after it, and the derivatives of that by the action."""
-    scene = replace(planar_scene(substeps=20), solver=SolverSettings(iterations=iterations, cone="pyramidal"))
+    scene = replace(
+        planar_scene(substeps=20),
+        solver=SolverSettings(iterations=iterations, line_search_iterations=6, cone="pyramidal"),
+    )
     simulator = make_simulator(scene, start=no_start, engine="mjx")
 
     def reached(state, action):
