@@ -109,7 +109,8 @@ def add_rope(
     compile and run time in MJX grow with the depth of the tree. ``clamped``: are its first and last end?
 
     Raises:
-        ValueError: for a rope too stiff for the spec's time step, or a stiff rope of point masses.
+        ValueError: for a rope too stiff for the spec's time step, one that is damped too little for Euler's
+            method, or a stiff rope of point masses.
     """
     if model.kind == "point_masses":
         if rope.bending_stiffness or rope.twisting_stiffness or rope.bending_damping:
