@@ -26,10 +26,12 @@ def test_a_second_process_is_told_and_a_killed_one_is_forgotten(tmp_path):
     folder = tmp_path / "new" / "data"
     with subprocess.Popen([sys.executable, "-c", HOLD, folder], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stdout.readline() == "in\n"
-        message = "data is in use by another process: wait until it has"
-        with pytest.raises(BlockingIOError, match=message), alone_in(folder):
-            pass
-        process.send_signal(signal.SIGKILL)
+        message = "data is in use by another process: wait until that has ended"
+        try:
+            with pytest.raises(BlockingIOError, match=message), alone_in(folder):
+                pass
+        finally:
+            process.send_signal(signal.SIGKILL)
     with alone_in(folder):
         assert list(folder.iterdir()) == []
 

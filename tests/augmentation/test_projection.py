@@ -87,7 +87,7 @@ def test_what_is_accepted_keeps_every_check(several):
     found, _, fails = projected(*several)
     accepted = found.verdict == Verdict.ACCEPTED
     assert not fails[accepted].any()
-    assert set(found.verdict) <= {Verdict.ACCEPTED, Verdict.NO_PROGRESS, Verdict.OCCUPANCY}
+    assert set(found.verdict) <= {Verdict.ACCEPTED, Verdict.NO_PROGRESS, Verdict.BOX, Verdict.OCCUPANCY}
 
 
 def test_reasons():
