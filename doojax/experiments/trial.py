@@ -1,5 +1,7 @@
 """Trials: plan, execute in the simulator, recover where the planner is stuck, until the goal or the end.
 
+A trial remembers the executed steps that were not as predicted: no later search of it proposes the like.
+
 Trials of one method run side by side, as one batch of arrays, and do not depend on one another. What ends a
 trial is counted in searches and actions, so that results do not depend on the machine; the seconds that
 planning took are noted beside.
@@ -7,7 +9,7 @@ planning took are noted beside.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,7 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from doojax.experiments.records import Event, EventKind, Look, PlanRecord, TrialRecord
+from doojax.experiments.records import TrialRecord
+from doojax.experiments.trial_log import REACHED as REACHED
+from doojax.experiments.trial_log import Log, element, record_plan
 from doojax.keys import numbered, stream
 from doojax.models.protocols import Dynamics, Recovery, Reliability
 from doojax.parts import in_threads
@@ -32,12 +36,13 @@ from doojax.planning import (
     search,
     shortened,
 )
+from doojax.planning.goals import bodies_of
+from doojax.planning.memory import refuting, remembered
 from doojax.planning.recovery import recovery_action
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
 
-REACHED = "goal reached"
 CRASHED = "crashed"
 NOT_EXECUTED = "the plan was not to be executed"
 NOT_WANTED = "not wanted"
@@ -45,8 +50,6 @@ STUCK = "stuck, and there is no recovery"
 MOST = 1_000_000  # searches or actions
 BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
-MODEL = "model/"  # before the names of model fields, which carry another rope
-REPLAYED = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
 
 
 def observed(simulator: Simulator, states: SimState) -> RopeState:
@@ -94,35 +97,10 @@ class Trials(NamedTuple):
 
 
 class Moves(NamedTuple):
-    """Actions to execute, and the points (m) that were predicted after each, if they were."""
+    """Actions to execute, and where all bodies (m) were predicted to be before and after, if they were."""
 
     actions: Float[np.ndarray, "t G 3"]
-    predicted: Float[np.ndarray, "t N 3"] | None = None
-
-
-@dataclass
-class Log:
-    """What happened in one trial so far."""
-
-    points: list[np.ndarray]
-    grippers: list[np.ndarray]
-    missing: float = np.inf  # m to the goal
-    actions: list[np.ndarray] = field(default_factory=list)
-    plans: list[PlanRecord] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
-    recoveries: int = 0
-    extensions: int = 0
-    plan_s: float = 0.0  # of searches and shortcuts; side by side, each trial's share of what all took
-    end: str | None = None
-
-    def note(self, kind: EventKind, text: str) -> None:
-        """Something happened."""
-        self.events.append(Event(len(self.actions), kind, text))
-
-    def stop(self, why: str) -> None:
-        """The trial is over."""
-        self.end = why
-        self.note("end", why)
+    predicted: Float[np.ndarray, "t1 K 3"] | None = None
 
 
 def run_trials(
@@ -157,6 +135,10 @@ def run_trials(
     keys = numbered(stream(trials.seed, "trials"), np.asarray(trials.numbers, np.uint32))
     rope = observed(simulator, states)
     logs = [Log([p], [g]) for p, g in zip(np.asarray(rope.points), np.asarray(rope.grippers), strict=True)]
+    bodies = bodies_of(rope).shape[1]
+    limits = np.asarray(goals.tolerance) / 2  # m, beyond which a step refutes what was predicted of it
+    if method.error_threshold_m is not None:
+        limits = np.full(len(logs), method.error_threshold_m)
     for log, run in zip(logs, trials.wanted or [True] * len(logs), strict=True):
         if not run:
             log.stop(NOT_WANTED)
@@ -168,12 +150,14 @@ def run_trials(
         search_keys, recovery_keys = _turn_keys(keys, jnp.asarray(turn))
         begun = time.perf_counter()
         aims = eqx.tree_at(lambda g: g.tolerance, goals, jnp.where(running, goals.tolerance, ANYWHERE))
-        problem = Problem(obstacles, method.begin(simulator, states), aims, search_keys)
+        known = [remembered(log.refuted, bodies) for log in logs]
+        refuted = jax.tree.map(lambda *leaves: jnp.stack(leaves), *known)
+        problem = Problem(obstacles, method.begin(simulator, states), aims, search_keys, refuted)
         trees = jax.tree.map(np.asarray, search(planner, problem))
 
         moves = [Moves(np.zeros((0, task.grippers, 3), np.float32))] * len(logs)
         searched = np.flatnonzero(running).tolist()
-        found = [(logs[i], planner, _element((problem, trees), i), keep_trees) for i in searched]
+        found = [(logs[i], planner, element((problem, trees), i), keep_trees) for i in searched]
         threads = 1 if isinstance(method.dynamics, HostDynamics) else None  # one simulator in C, one thread
         plans = in_threads(lambda one: _noted_plan(*one), found, threads)
         share = (time.perf_counter() - begun) / len(searched)
@@ -182,60 +166,21 @@ def run_trials(
             if not execute:
                 logs[i].stop(NOT_EXECUTED)
             elif plan.status != "stuck":
-                moves[i] = Moves(plan.actions, np.asarray(plan.states.points)[1:])
+                moves[i] = Moves(plan.actions, np.asarray(bodies_of(plan.states)))
                 logs[i].note("execute", f"{len(plan.actions)} actions")
             elif method.recovery is None:
                 logs[i].stop(STUCK)
             else:
-                here = _element((obstacles, rope), i)
+                here = element((obstacles, rope), i)
                 action = recovery_action(task, method.recovery, *here, key=recovery_keys[i])
                 moves[i] = Moves(np.asarray(action)[None])
                 logs[i].recoveries += 1
                 logs[i].note("recover", "nothing that was tried is reliable")
-        states, rope = _execute(simulator, states, rope, logs, moves, settings)
+        states, rope = _execute(simulator, states, rope, goals, logs, moves, settings, limits)
     return [
-        _record(task, method, log, trials, i, *_element((obstacles, trials.starts, goals), i))
+        _record(task, method, log, trials, i, *element((obstacles, trials.starts, goals), i))
         for i, log in enumerate(logs)
     ]
-
-
-def record_plan(tree: Tree, plan: Plan, step: int, *, whole: bool) -> PlanRecord:
-    """A search made at state ``step``, for the viewer: all that was tried, or only the nodes of the plan."""
-    nodes = np.arange(int(tree.used)) if whole else plan.nodes
-    path = plan.nodes if whole else np.arange(len(nodes))
-    return PlanRecord(
-        step=step,
-        parent=np.asarray(tree.parent[nodes] if whole else path - 1),
-        points=np.asarray(tree.state.points[nodes]),
-        grippers=np.asarray(tree.state.grippers[nodes]),
-        accepted=np.asarray(tree.accepted[nodes]),
-        path=path,
-        score=np.asarray(tree.score[nodes]),
-    )
-
-
-def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N 3"]:
-    """The rope's points (m) when a recorded trial's actions are executed again from its first state.
-
-    Raises:
-        ValueError: for a record that does not hold them.
-    """
-    if not record.replay:
-        raise ValueError(
-            "this trial cannot be executed again: its record holds no first state and no actions"
-        )
-    stored = {name: jnp.asarray(record.replay[name])[None] for name in REPLAYED}
-    fields = {
-        name.removeprefix(MODEL): jnp.asarray(values)[None]
-        for name, values in record.replay.items()
-        if name.startswith(MODEL)
-    }
-    states = SimState(**stored, faults=jnp.zeros(1, dtype=jnp.int32), model_fields=fields)
-    points = [np.asarray(observed(simulator, states).points[0])]
-    for action in record.replay["actions"]:
-        states, seen = simulator.rollout(states, jnp.asarray(action)[None, None])
-        points.append(np.asarray(seen.states.points[0, -1]))
-    return np.stack(points)
 
 
 def crashed(
@@ -243,7 +188,7 @@ def crashed(
 ) -> TrialRecord:
     """The record of a trial, the first of ``trials``, that an error ended: it stayed where it started."""
     rope = observed(simulator, trials.starts)
-    here = _element((jax.vmap(simulator.obstacles)(trials.starts), trials.starts, trials.goals), 0)
+    here = element((jax.vmap(simulator.obstacles)(trials.starts), trials.starts, trials.goals), 0)
     log = Log([np.asarray(rope.points[0])], [np.asarray(rope.grippers[0])])
     log.missing = float(_distances(trials.goals, rope)[0])
     log.stop(f"{CRASHED}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
@@ -296,11 +241,14 @@ def _execute(
     simulator: Simulator,
     states: SimState,
     rope: RopeState,
+    goals: Goal,
     logs: Sequence[Log],
     moves: Sequence[Moves],
     settings: TrialSettings,
+    limits: Float[np.ndarray, "R"],
 ) -> tuple[SimState, RopeState]:
-    """Execute every trial's actions, one control period of all trials at a time."""
+    """Execute every trial's actions until its goal is reached, one control period of all trials at a time."""
+    tolerances = np.asarray(goals.tolerance)
     left = [len(move.actions) for move in moves]
     for step in range(max(left)):
         actions = np.zeros((len(logs), *moves[0].actions.shape[1:]), np.float32)
@@ -314,15 +262,26 @@ def _execute(
         here = jax.tree.map(lambda leaf: leaf[:, -1], seen.states)
         states, rope = _where(moving, (after, here), (states, rope))
         points, grippers, faults = (np.asarray(x) for x in (here.points, here.grippers, seen.faults))
+        missing = np.asarray(_distances(goals, here))
         for i in np.flatnonzero(moving).tolist():
             log, predicted = logs[i], moves[i].predicted
+            before = np.concatenate([log.points[-1], log.grippers[-1]])
+            after = np.concatenate([points[i], grippers[i]])
             log.actions.append(actions[i])
             log.points.append(points[i])
             log.grippers.append(grippers[i])
             if faults[i, -1] & BROKEN:
                 log.stop("the simulation became unstable")
+                continue
+            if predicted is not None:
+                outcome = refuting(before, after, predicted[step : step + 2], float(limits[i]))
+                log.refuted += [outcome] if outcome else []
+            if missing[i] <= tolerances[i]:
+                log.missing = float(missing[i])
+                log.stop(REACHED)
             elif predicted is not None and settings.replan_distance is not None:
-                off = float(np.sqrt(((points[i] - predicted[step]) ** 2).sum(-1).mean()))
+                meant = predicted[step + 1, : len(points[i])]
+                off = float(np.sqrt(((points[i] - meant) ** 2).sum(-1).mean()))
                 if off > settings.replan_distance and step + 1 < left[i]:
                     left[i] = 0
                     log.note("replan", f"{100 * off:.1f} cm from where the plan had the rope")
@@ -339,49 +298,10 @@ def _record(
     start: SimState,
     goal: Goal,
 ) -> TrialRecord:
-    targets, points = np.asarray(goal.targets), np.stack(log.points)
-    allowed = np.flatnonzero(np.asarray(goal.bodies)[0])
-    ends = np.concatenate([points[-1], log.grippers[-1]])[allowed]
-    distances = np.nan_to_num(np.linalg.norm(ends - targets[0], axis=-1), nan=np.inf)
-    actions = np.array(log.actions, np.float32).reshape(-1, task.grippers, 3)
-    about: dict[str, Any] = {
-        "trial": int(trials.numbers[index]),
-        "end": log.end,
-        "final_error_m": log.missing,
-        "searches": len(log.plans),
-        "extensions": log.extensions,
-        "actions": len(log.actions),
-        "recovery_actions": log.recoveries,
-        "plan_s": round(log.plan_s, 3),
-        "more_targets": targets[1:].tolist(),
-        "error_threshold_m": method.error_threshold_m,
-    }
-    return TrialRecord(
-        task=task.name,
-        method=method.name,
-        seed=trials.seed,
-        look=Look.of(task.scene),
-        obstacles=obstacles,
-        goal=targets[0],
-        goal_radius=float(goal.tolerance),
-        goal_point=int(allowed[np.argmin(distances)]),
-        points=points,
-        grippers=np.stack(log.grippers),
-        plans=tuple(log.plans),
-        events=tuple(log.events),
-        reached=log.end == REACHED,
-        period=task.scene.control_period,
-        about=about,
-        replay={
-            "actions": actions,
-            **{name: np.asarray(getattr(start, name)) for name in REPLAYED},
-            **{MODEL + name: np.asarray(values) for name, values in start.model_fields.items()},
-        },
-    )
-
-
-def _element(tree: Any, index: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[index], tree)
+    record = log.record(task, obstacles, start, goal)
+    about = {"trial": int(trials.numbers[index]), **record.about}
+    about["error_threshold_m"] = method.error_threshold_m
+    return replace(record, method=method.name, seed=trials.seed, about=about)
 
 
 def _where(mask: np.ndarray, yes: Any, no: Any) -> Any:

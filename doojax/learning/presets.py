@@ -50,7 +50,7 @@ def classifier_preset(name: PresetName, task: Task) -> Preset:
             ClassifierConfig(task.grippers, origin(task), width=128), FitConfig(epochs=40, batch_size=128)
         )
     if task.scene.planar:
-        config = ClassifierConfig(task.grippers, origin(task), width=32, moments=2, midpoints=False)
+        config = ClassifierConfig(task.grippers, origin(task), width=32, midpoints=False)
     else:
         config = ClassifierConfig(task.grippers, origin(task))
     return Preset(config, FitConfig(epochs=15, batch_size=128))

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from doojax.geometry.sdf import signed_distance_and_gradient
 from doojax.models.calibration import CalibratedClassifier, Calibration
-from doojax.models.local import Origin, local_frame
+from doojax.models.local import Origin, chain_of, local_frame
 from doojax.modules import Jittable
 from doojax.types import Depth, Obstacles, RopeState, Size
 
@@ -133,17 +133,3 @@ class DistanceClassifier(CalibratedClassifier):
         ).T
         whole = jnp.append(frame.vectors_in(action).reshape(-1) / 0.1, jnp.log(uncertainty + 1e-4) + 3)
         return chain, whole
-
-
-def chain_of(state: RopeState, midpoints: bool) -> Float[Array, "L 3"]:
-    """Rope and grippers as one polyline: one gripper behind the last point, or one before and one behind.
-
-    With midpoints, L = 2 (N + G) - 1; without, N + G.
-    """
-    first, last = state.grippers[:-1], state.grippers[-1:]
-    chain = jnp.concatenate([first, state.points, last])
-    if not midpoints:
-        return chain
-    between = (chain[1:] + chain[:-1]) / 2
-    woven = jnp.stack([chain[:-1], between], axis=1).reshape(-1, 3)
-    return jnp.concatenate([woven, last])

@@ -89,3 +89,17 @@ def flat(points: Float[Array, "N 3"], grippers: Float[Array, "G 3"]) -> Float[Ar
 def unflat(vector: Float[Array, "d"], points: int) -> tuple[Float[Array, "N 3"], Float[Array, "G 3"]]:
     """The inverse of `flat` for a rope of so many points."""
     return vector[: 3 * points].reshape(-1, 3), vector[3 * points :].reshape(-1, 3)
+
+
+def chain_of(state: RopeState, midpoints: bool) -> Float[Array, "L 3"]:
+    """Rope and grippers as one polyline: one gripper behind the last point, or one before and one behind.
+
+    With midpoints, L = 2 (N + G) - 1; without, N + G.
+    """
+    first, last = state.grippers[:-1], state.grippers[-1:]
+    chain = jnp.concatenate([first, state.points, last])
+    if not midpoints:
+        return chain
+    between = (chain[1:] + chain[:-1]) / 2
+    woven = jnp.stack([chain[:-1], between], axis=1).reshape(-1, 3)
+    return jnp.concatenate([woven, last])

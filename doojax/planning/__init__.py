@@ -13,8 +13,8 @@ from doojax.planning.mppi import rolled_out as rolled_out
 from doojax.planning.mppi import timed_rolled_out as timed_rolled_out
 from doojax.planning.rrt import HostDynamics as HostDynamics
 from doojax.planning.rrt import Rrt as Rrt
-from doojax.planning.rrt import RrtSettings as RrtSettings
 from doojax.planning.rrt import search as search
+from doojax.planning.settings import RrtSettings as RrtSettings
 from doojax.planning.shortcut import shortened as shortened
 from doojax.planning.simulated import simulated as simulated
 from doojax.planning.simulated import simulated_start as simulated_start

@@ -11,7 +11,6 @@ or a step is rejected; then it starts anew at the node nearest to a fresh sample
 and every budget counts extensions.
 """
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, runtime_checkable
 
@@ -26,47 +25,13 @@ from doojax.models.protocols import Dynamics, Reliability
 from doojax.parts import in_parts, traced, worth_parts
 from doojax.planning.goals import bodies_of
 from doojax.planning.metric import Sampler, nearest, rope_sample
+from doojax.planning.settings import RrtSettings
 from doojax.planning.tree import Problem, Tree
 from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
 
 AT_ONCE = 64  # expansions in one call
 PARTS = 2  # of the lanes, that begin anew one after another
-
-
-# Beyond these, arrays would not fit into any memory.
-MOST = {"lanes": 16_384, "extensions": 4_000_000, "duration": 10_000, "candidates": 4096}
-MOST |= {"stuck_after": 4_000_000, "shortcuts": 1000}
-
-
-@dataclass(frozen=True)
-class RrtSettings:
-    """How a tree is grown."""
-
-    lanes: int = 64  # extensions tried at once
-    extensions: int = 8192  # attempts before the search is given up
-    goal_bias: float = 0.3  # probability that a lane heads for the goal
-    duration: int = 20  # an action is held for up to this many steps, uniformly
-    candidates: int = 32  # actions drawn for a lane; the one that best moves the grippers towards the sample
-    random_accept: float = 0.0  # probability that a rejected extension is accepted nevertheless
-    stuck_after: int = 32  # attempts without a single success after which the start counts as stuck
-    goal_margin: float = 0.6  # of the goal's tolerance: a plan is to end so near, because execution errs
-    shortcuts: int = 2  # rounds of as many shortcuts as lanes, tried on a plan that reaches the goal
-
-    def __post_init__(self):
-        """Refuse what plans nothing."""
-        for name, most in MOST.items():
-            least = 0 if name == "shortcuts" else 1
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected {least} to {most:,}")
-        for name in ("goal_bias", "random_accept", "goal_margin"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to 1")
-
-    @property
-    def expansions(self) -> int:
-        """Calls after which the budget is spent."""
-        return -(-self.extensions // self.lanes)
 
 
 class Lanes(eqx.Module):
@@ -154,11 +119,27 @@ def judged(
     after: RopeState,
     uncertainty: Float[Array, "L"],
 ) -> tuple[Float[Array, "L"], Bool[Array, "L"], Float[Array, "L"]]:
-    """Of L predicted steps of one problem: the scores, are they finite, and the metres to the goal after."""
+    """Of L predicted steps of one problem: the scores, are they sound, and the metres to the goal after.
+
+    Those are sound that are finite and not like one that was executed with another outcome.
+    """
     judge = jax.vmap(reliability, in_axes=(None, 0, 0, 0, 0))
     score = judge(problem.obstacles, before, actions, after, uncertainty)
-    sound = jnp.isfinite(bodies_of(after)).all((-1, -2))
+    there = bodies_of(after)
+    sound = jnp.isfinite(there).all((-1, -2))
+    if problem.refuted is not None:
+        sound &= ~jax.vmap(problem.refuted.forbids)(bodies_of(before), there)
     return score, sound, jax.vmap(problem.goal.distance)(after)
+
+
+def spread_after(
+    before: Float[Array, "*b"], uncertainty: Float[Array, "*b"], state: RopeState
+) -> Float[Array, "*b"]:
+    """Metres by which a body may be off after a step, as its state was by ``before``.
+
+    What a dynamics' uncertainty adds is its mean over the bodies, independent of what came before.
+    """
+    return jnp.hypot(before, uncertainty / bodies_of(state).shape[-2])
 
 
 @eqx.filter_jit(donate="all-except-first")
@@ -243,6 +224,7 @@ def _start_one(task: Task, settings: RrtSettings, problem: Problem) -> tuple[Tre
     start = problem.start
     capacity = 1 + settings.expansions * settings.lanes
     distance = problem.goal.distance(start)
+    there = distance <= settings.reach(problem.goal.tolerance, jnp.zeros(()))
     tree = Tree(
         state=jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (capacity, *leaf.shape)), start),
         action=jnp.zeros((capacity, task.grippers, 3)),
@@ -250,8 +232,10 @@ def _start_one(task: Task, settings: RrtSettings, problem: Problem) -> tuple[Tre
         accepted=jnp.arange(capacity) == 0,
         score=jnp.full(capacity, jnp.nan, dtype=jnp.float32),
         goal_distance=jnp.full(capacity, distance),
+        spread=jnp.zeros(capacity, dtype=jnp.float32),
+        reached=(jnp.arange(capacity) == 0) & there,
         used=jnp.array(1, dtype=jnp.int32),
-        solved=distance <= settings.goal_margin * problem.goal.tolerance,
+        solved=there,
         stuck=jnp.array(False),
     )
     lanes = Lanes(
@@ -353,7 +337,8 @@ def _insert_one(
     def write(into, values):
         return jax.lax.dynamic_update_slice_in_dim(into, values.astype(into.dtype), first, axis=0)
 
-    near = (accepted & (distance <= settings.goal_margin * problem.goal.tolerance)).any()
+    spread = spread_after(tree.spread[lanes.node], uncertainty, after)
+    near = accepted & (distance <= settings.reach(problem.goal.tolerance, spread))
     used = jnp.where(done, tree.used, first + settings.lanes)
     everything = write(tree.accepted, accepted)
     tried_enough = used > settings.stuck_after
@@ -366,8 +351,10 @@ def _insert_one(
         accepted=everything,
         score=write(tree.score, score),
         goal_distance=write(tree.goal_distance, distance),
+        spread=write(tree.spread, spread),
+        reached=write(tree.reached, near),
         used=used,
-        solved=tree.solved | near,
+        solved=tree.solved | near.any(),
         stuck=tree.stuck | (tried_enough & ~any_yet & ~tree.solved),
     )
     moved = Lanes(

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from doojax.planning.rrt import Rrt, judged, propagate
+from doojax.planning.rrt import Rrt, judged, propagate, spread_after
 from doojax.planning.tree import Plan, Problem, Tree
 from doojax.types import RopeState
 
@@ -53,9 +53,9 @@ def _round(
         actions[: len(sequence), lane] = sequence
 
     obstacles = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], problem.obstacles)
-    near = planner.settings.goal_margin * problem.goal.tolerance
     judge = eqx.tree_at(lambda p: p.dynamics, planner, None)  # which may be no pytree
     states = jax.tree.map(lambda leaf: jnp.asarray(leaf[plan.nodes[leave]]), tree.state)
+    spread = jnp.asarray(tree.spread[plan.nodes[leave]])
     going, steps = np.ones(lanes, dtype=bool), []
     tried = accepted = 0
     best: tuple[int, float, int, int] | None = None  # actions, metres from the goal, lane, steps of the lane
@@ -65,12 +65,13 @@ def _round(
         after, uncertainty = jax.tree.map(lambda leaf: leaf[0], (after, uncertainty))
         found = _judge(judge, problem, states, jnp.asarray(action), after, uncertainty)
         score, fine, distance = (np.asarray(values) for values in found)
-        there = distance <= near
+        spread = spread_after(spread, uncertainty, after)
+        there = distance <= np.asarray(planner.settings.reach(jnp.asarray(problem.goal.tolerance), spread))
         going &= step < ends
         tried += int(going.sum())
         going &= fine
         accepted += int(going.sum())
-        steps.append((after, score, distance))
+        steps.append((after, score, distance, np.asarray(spread)))
         for lane in np.flatnonzero(going & there):
             reached = (int(leave[lane]) + step + 1, float(distance[lane]), int(lane), step + 1)
             best = reached if best is None else min(best, reached)
@@ -108,20 +109,22 @@ def _grafted(
     leave: int,
     actions: Float[np.ndarray, "t G 3"],
     lane: int,
-    steps: list[tuple[RopeState, np.ndarray, np.ndarray]],
+    steps: list[tuple[RopeState, np.ndarray, np.ndarray, np.ndarray]],
 ) -> tuple[Tree, Plan]:
     """The tree with the steps of one lane behind the plan's node number ``leave``."""
     used, count = int(tree.used), len(actions)
     fresh = np.arange(used, used + count)
     added = Tree(
         state=jax.tree.map(
-            lambda *leaves: jnp.stack([leaf[lane] for leaf in leaves]), *(s for s, _, _ in steps)
+            lambda *leaves: jnp.stack([leaf[lane] for leaf in leaves]), *(step[0] for step in steps)
         ),
         action=jnp.asarray(actions),
         parent=jnp.asarray([plan.nodes[leave], *fresh[:-1]], dtype=jnp.int32),
         accepted=jnp.ones(count, dtype=bool),
-        score=jnp.asarray([score[lane] for _, score, _ in steps]),
-        goal_distance=jnp.asarray([distance[lane] for _, _, distance in steps]),
+        score=jnp.asarray([score[lane] for _, score, _, _ in steps]),
+        goal_distance=jnp.asarray([distance[lane] for _, _, distance, _ in steps]),
+        spread=jnp.asarray([spread[lane] for *_, spread in steps]),
+        reached=jnp.arange(count) == count - 1,
         used=jnp.asarray(used + count, dtype=jnp.int32),
         solved=jnp.asarray(tree.solved),
         stuck=jnp.asarray(tree.stuck),

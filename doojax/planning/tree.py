@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from doojax.geometry.sdf import signed_distance
 from doojax.planning.goals import Goal, bodies_of
+from doojax.planning.memory import Refuted
 from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
 
@@ -22,6 +23,7 @@ class Problem(eqx.Module):
     start: RopeState  # or a subclass that carries along what the dynamics need
     goal: Goal
     key: Array
+    refuted: Refuted | None = None  # outcomes that were not as predicted
 
 
 class Tree(eqx.Module):
@@ -33,13 +35,15 @@ class Tree(eqx.Module):
     accepted: Bool[Array, "*b C"]
     score: Float[Array, "*b C"]  # as the reliability gave it; NaN for the start
     goal_distance: Float[Array, "*b C"]  # m
+    spread: Float[Array, "*b C"]  # m, by which a body may be off, by the uncertainties of all steps
+    reached: Bool[Array, "*b C"]  # near enough to the goal, with room for the spread
     used: Int[Array, "*b"]
     solved: Bool[Array, "*b"]
     stuck: Bool[Array, "*b"]  # nothing that was tried from the start was accepted
 
 
 class Plan(NamedTuple):
-    """The way through a tree to the node nearest to the goal."""
+    """The way through a tree to the node nearest to the goal, of those that reached it if any did."""
 
     status: Status
     nodes: Int[np.ndarray, "m"]  # slots from the start on
@@ -111,10 +115,11 @@ def _along_rope(task: Task) -> Float[np.ndarray, "NG"]:
 
 
 def plan_of(tree: Tree) -> Plan:
-    """The plan that one problem's tree holds: to the accepted node nearest to the goal."""
+    """The plan that one problem's tree holds: to the node that reached the goal, or came nearest to it."""
     host = jax.tree.map(np.asarray, tree)
     used = int(host.used)
-    best = int(np.argmin(np.where(host.accepted[:used], host.goal_distance[:used], np.inf)))
+    ends = host.reached[:used] if host.reached[:used].any() else host.accepted[:used]
+    best = int(np.argmin(np.where(ends, host.goal_distance[:used], np.inf)))
     nodes = [best]
     while host.parent[nodes[-1]] >= 0:
         nodes.append(int(host.parent[nodes[-1]]))

@@ -11,7 +11,7 @@ from doojax.experiments.plan import plan
 from doojax.experiments.records import load_record
 from doojax.experiments.scenes import FOLDER, load_scenes, save_scenes
 from doojax.experiments.trial import TrialSettings
-from doojax.experiments.trial import replay as executed_again
+from doojax.experiments.trial_replay import replay as executed_again
 from doojax.planning import RrtSettings
 from doojax.tasks import make_task
 from doojax.tasks.ropes import OtherRope

@@ -9,7 +9,8 @@ import pytest
 from doojax.commands import parsed
 from doojax.experiments.plan import plan
 from doojax.experiments.records import load_record
-from doojax.experiments.trial import NOT_EXECUTED, replay
+from doojax.experiments.trial import NOT_EXECUTED
+from doojax.experiments.trial_replay import replay
 from doojax.tasks.toy import HEIGHT
 
 from .toy_trials import PLANNING, SETTINGS, SIMULATOR

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from doojax.experiments.records import load_record, save_record
-from doojax.experiments.trial import REACHED, STUCK, Method, TrialSettings, replay, run_trials
+from doojax.experiments.trial import REACHED, STUCK, Method, TrialSettings, run_trials
+from doojax.experiments.trial_replay import replay
 from doojax.simulation.state import Fault
 from doojax.tasks.toy import ToySimulator
 from tests.planning.problems import BLIND
@@ -70,6 +71,59 @@ def test_without_a_classifier_the_plan_goes_through_the_wall_and_the_rope_does_n
     planned = plan.points[plan.path[-1], -1]
     executed = crossing.points[len(plan.path) - 1, -1]
     assert np.linalg.norm(planned - executed) > 0.05
+
+
+def steps_of_plans(record):
+    """Of every plan's executed steps: all bodies before and after, and where the plan had them."""
+    executed = np.concatenate([record.points, record.grippers], axis=1)
+    ends = [*(plan.step for plan in record.plans[1:]), len(executed) - 1]
+    for plan, end in zip(record.plans, ends, strict=True):
+        planned = np.concatenate([plan.points, plan.grippers], axis=1)[plan.path]
+        for step in range(min(len(planned) - 1, end - plan.step)):
+            before, after = executed[plan.step + step : plan.step + step + 2]
+            yield before, after, planned[step : step + 2]
+
+
+def rms(vectors):
+    return np.sqrt((vectors**2).sum(-1).mean(-1))
+
+
+def test_what_refuted_the_model_is_not_planned_again_while_the_trial_lasts():
+    crossing = records("no_classifier")[1]
+    assert crossing.about["refuted"] > 0 and crossing.about["searches"] > 1
+    known = []  # of every refuted step: where it began, what was predicted, by how much that was wrong
+    for before, after, (begins, ends) in steps_of_plans(crossing):
+        change = ends - begins
+        for where, predicted, error in known:
+            alike = rms(begins - where) < 0.499 * error and rms(change - predicted) < 0.499 * error
+            assert not alike or step_of(crossing, before) == step_of(crossing, where)
+        error = rms(after - before - change)
+        if error > TOY.goal_threshold / 2:
+            known.append((before, change, error))
+    assert len(known) == crossing.about["refuted"]
+
+
+def step_of(record, bodies):
+    """The search after which some bodies were so: a plan may repeat what it did before it was refuted."""
+    executed = np.concatenate([record.points, record.grippers], axis=1)
+    state = np.flatnonzero((executed == bodies).all((1, 2)))[0]
+    return max(plan.step for plan in record.plans if plan.step <= state)
+
+
+def test_a_trial_ends_when_the_goal_is_reached_also_between_two_actions():
+    # a plan ends within 15 cm of the goal, but the rope is there from 25 cm on
+    wide = trials()
+    goals = eqx.tree_at(lambda g: g.tolerance, wide.goals, 5 * wide.goals.tolerance)
+    ran = run_trials(TOY, SIMULATOR, METHODS["classifier"], PLANNING, SETTINGS, wide._replace(goals=goals))
+    left = 0
+    for record in ran:
+        missing = np.linalg.norm(record.points[:, 0] - record.goal, axis=-1)
+        inside = np.flatnonzero(missing <= 5 * TOY.goal_threshold)
+        assert record.reached and inside[0] == len(missing) - 1
+        if record.plans:
+            last = record.plans[-1]
+            left += len(last.path) - len(missing) + last.step
+    assert left > 0  # actions of plans that were not needed
 
 
 def test_the_same_seeds_give_the_same_trials_whatever_runs_beside_them():

@@ -13,9 +13,8 @@ from doojax.models.classifier import (
     ChainConvolution,
     ClassifierConfig,
     DistanceClassifier,
-    chain_of,
 )
-from doojax.models.local import local_frame
+from doojax.models.local import chain_of, local_frame
 from doojax.types import Obstacles, RopeState
 
 OBSTACLES = Obstacles(

@@ -80,6 +80,8 @@ def zigzag() -> tuple[Plan, Tree, object]:
         accepted=jnp.ones(count, bool),
         score=jnp.ones(count),
         goal_distance=distances,
+        spread=jnp.zeros(count),
+        reached=jnp.arange(count) == count - 1,
         used=jnp.array(count),
         solved=jnp.array(True),
         stuck=jnp.array(False),
