@@ -6,9 +6,10 @@ and batch it with `jax.vmap`.
 """
 
 from enum import IntEnum
-from typing import Annotated, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import equinox as eqx
+import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 from msgspec import Meta
@@ -42,6 +43,24 @@ class RopeState(eqx.Module):
         return RopeState(points=motion.points(self.points), grippers=motion.points(self.grippers))
 
 
+class PushingState(eqx.Module):
+    """What is seen of rigid bodies that a hand pushes over a table."""
+
+    positions: Float[Array, "*b N 3"]  # of their centres, world frame, metres
+    velocities: Float[Array, "*b N 3"]  # m/s
+    hand: Float[Array, "*b 3"]  # world frame, metres
+
+    def bodies(self) -> Float[Array, "*b K 3"]:
+        """All places: the bodies', then the hand's."""
+        return jnp.concatenate([self.positions, self.hand[..., None, :]], axis=-2)
+
+    def moved(self, motion: Motion) -> "PushingState":
+        """The same elsewhere."""
+        return PushingState(
+            motion.points(self.positions), motion.vectors(self.velocities), motion.points(self.hand)
+        )
+
+
 class ShapeKind(IntEnum):
     """How `Obstacles.half_size` is read."""
 
@@ -72,7 +91,7 @@ class Transition(eqx.Module):
 class Trajectory(eqx.Module):
     """T control periods: T + 1 states and the T actions between them."""
 
-    states: RopeState  # points [*b, T+1, N, 3], grippers [*b, T+1, G, 3]
+    states: Any  # such as a RopeState: points [*b, T+1, N, 3], grippers [*b, T+1, G, 3]
     actions: Float[Array, "*b T G 3"]  # gripper displacements, metres
     faults: Int[Array, "*b T"]  # bit set of doojax.simulation.Fault, per control period
     clearance: Float[Array, "*b T1"]  # m, least distance of rope and grippers to an obstacle, per state

@@ -79,7 +79,7 @@ class Setting(eqx.Module):
         scene, box = task.scene, task.workspace if box is None else box
         planar = scene.planar or box.low[2] == box.high[2]
         return cls(
-            rope_radius=jnp.array(scene.rope.radius, jnp.float32),
+            rope_radius=jnp.array(scene.rope_part.parameters.radius, jnp.float32),
             gripper_radii=jnp.array([gripper.radius for gripper in scene.grippers], jnp.float32),
             box_low=jnp.array(box.low, jnp.float32),
             box_high=jnp.array(box.high, jnp.float32),

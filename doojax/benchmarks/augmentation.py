@@ -109,7 +109,7 @@ def drawn(task: Task, simulator: Simulator, count: int, seed: int) -> tuple[SimS
     _, starts, _ = random_trajectories(
         task, simulator, numbered(start_key, range(count)), BEFORE, "constrained"
     )
-    rope, none = simulator.observations(starts).rope, jnp.zeros((count, task.grippers, 3))
+    rope, none = simulator.observations(starts).state, jnp.zeros((count, task.grippers, 3))
     actions = _actions(task, numbered(action_key, range(count)), rope, none)
     _, trajectory = simulator.rollout(starts, actions[:, None])
     examples = RopeExamples(

@@ -82,7 +82,7 @@ def drawn(task: Task, count: int, *, key: Array) -> tuple[Obstacles, Transition]
     simulator = task.simulator("mujoco")
     start_key, action_key = jax.random.split(key)
     starts: SimState = jax.jit(jax.vmap(simulator.reset))(jax.random.split(start_key, count))
-    state: RopeState = simulator.observations(starts).rope
+    state: RopeState = simulator.observations(starts).state
     actions = jax.vmap(task.draw_action)(jax.random.split(action_key, count))
     after = RopeState(state.points + actions.mean(1, keepdims=True), state.grippers + actions)
     return jax.vmap(simulator.obstacles)(starts), Transition(state, actions, after, jnp.full(count, 0.01))

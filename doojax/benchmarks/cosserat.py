@@ -69,14 +69,14 @@ class DoojaxSolver:
         data, layout = mujoco.MjData(model), Layout.of(scene, model)
         nodes = rod.nodes(n_elements)
         data.qpos[:] = bent_qpos(scene, nodes[0], _inclinations(nodes))
-        data.ctrl[:] = data.qpos[layout.gripper_qpos].reshape(-1)
+        data.ctrl[:] = data.qpos[layout.driven].reshape(-1)
         for obstacle, own in zip(scenario.obstacles, scene.obstacles, strict=True):
             mocap = model.body(own.name).mocapid[0]
             data.mocap_pos[mocap], data.mocap_quat[mocap] = _pose(obstacle)
         mujoco.mj_forward(model, data)
 
         links = layout.links
-        half = scene.rope.length / n_elements / 2
+        half = scene.rope_part.parameters.length / n_elements / 2
         local = np.einsum("nji,nj->ni", data.xmat[links].reshape(-1, 3, 3), rod.directors(n_elements))
         damping = 2.0 * scenario.slowest_frequency() if scenario.quasi_static else 0.0
         momentum, frames, directors = np.zeros(model.nv), [], []

@@ -137,7 +137,7 @@ def problems_of(task: Task, count: int) -> list[Problem]:
     """Batches of one problem each, in scenes of the kind that trials have."""
     drawn, simulator = draw_scenes(task, count, SEED), task.simulator()
     starts: SimState = jax.tree.map(jnp.asarray, drawn.starts)
-    obstacles, rope = jax.vmap(simulator.obstacles)(starts), simulator.observations(starts).rope
+    obstacles, rope = jax.vmap(simulator.obstacles)(starts), simulator.observations(starts).state
     goals: Goal = jax.tree.map(jnp.asarray, drawn.goals)
     everything = Problem(obstacles, rope, goals, numbered(stream(SEED, "bench", "planner"), range(count)))
     return [jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], everything) for i in range(count)]

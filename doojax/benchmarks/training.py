@@ -105,7 +105,7 @@ def measure(task: Task, preset: PresetName) -> list[Row]:
 
 def random_trajectories(task: Task, count: int, periods: int, *, key: Array) -> Trajectories:
     """``count`` ropes whose points, and the grippers that ``periods`` actions move, wander about."""
-    links, grippers = task.scene.rope_model.links, task.grippers
+    links, grippers = task.scene.links, task.grippers
     keys = jax.random.split(key, 3)
     first = 0.2 * jax.random.normal(keys[0], (count, 1, links + grippers, 3))
     moves = WANDER * jax.random.normal(keys[1], (count, periods, links + grippers, 3))

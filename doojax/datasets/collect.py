@@ -151,7 +151,7 @@ def random_trajectories(
     """One trajectory of random actions for each of B ``keys``: first and last states, and what was seen."""
     start_keys, action_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
     start = state = _in_shards(partial(_starts, simulator), start_keys)
-    rope = simulator.observations(state).rope
+    rope = simulator.observations(state).state
     action = jnp.zeros((keys.shape[0], task.grippers, 3))
     parts = []
     for period in range(periods):
@@ -208,7 +208,7 @@ def joined(parts: list[Trajectory]) -> Trajectory:
 def schema(task: Task, periods: int) -> dict[str, Field]:
     """The fields of a data set of ``task`` with ``periods`` actions a trajectory."""
     scene, t = task.scene, periods
-    links, grippers, bodies = scene.rope_model.links, task.grippers, len(scene.obstacles)
+    links, grippers, bodies = scene.links, task.grippers, len(scene.obstacles)
     shapes = sum(len(obstacle.shapes) for obstacle in scene.obstacles)
     nan = {"may_be_missing": True}  # in a simulation that blew up
     return {

@@ -161,7 +161,7 @@ def _check_failures(header: FailuresHeader, stored: dict[str, np.ndarray]) -> No
         "obstacle_quaternion": ("float", (count, bodies, 4)),
         "holding": ("bool", (count, task.grippers)),
         "actions": ("float", (count, *periods, task.grippers, 3)),
-        "points": ("float", (count, *states, scene.rope_model.links, 3)),
+        "points": ("float", (count, *states, scene.links, 3)),
         "faults": ("int", (count, *periods)),
     }
     require_arrays(stored, expected)

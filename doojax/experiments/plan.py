@@ -95,7 +95,7 @@ def plan(
     wanted += [gripper_goal(the_task, jnp.array(grippers))] if grippers is not None else []
     aim = all_of(*wanted) if wanted else aim
     batch: tuple[SimState, Goal] = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], (start, aim))
-    seen = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).rope)
+    seen = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).state)
     check_problem(the_task, Problem(simulator.obstacles(start), seen, aim, stream(seed, "plan")))
 
     chosen = make_method(method, the_task, simulator, found, accept)

@@ -40,10 +40,10 @@ class Look:
     @classmethod
     def of(cls, scene: Scene) -> "Look":
         """The sizes of what is in a scene."""
-        half_link = scene.rope.length / scene.rope_model.links / 2
+        half_link = scene.rope_part.parameters.length / scene.links / 2
         return cls(
-            rope_radius=scene.rope.radius,
-            rope_end=0.0 if scene.rope_model.kind == "point_masses" else half_link,
+            rope_radius=scene.rope_part.parameters.radius,
+            rope_end=0.0 if scene.rope_part.model.kind == "point_masses" else half_link,
             gripper_radius=max(gripper.radius for gripper in scene.grippers),
             floor=0.0 if scene.floor else None,
         )

@@ -98,7 +98,7 @@ def _actions_until_free(
     act = jax.vmap(lambda scene, rope, key: recovery_action(task, recovery, scene, rope, key=key))
     needed = np.full(count, MOST_ACTIONS + 1)
     for number in range(1, MOST_ACTIONS + 1):
-        rope = simulator.observations(states).rope
+        rope = simulator.observations(states).state
         act_keys = jax.random.split(jax.random.fold_in(keys[1], number), count)
         states, seen = simulator.rollout(states, act(obstacles, rope, act_keys)[:, None])
         after = jax.tree.map(lambda leaf: leaf[:, -1:], seen.states)

@@ -176,7 +176,7 @@ def draw_scenes(
     reset = jax.jit(jax.vmap(simulator.reset))
     aim = jax.jit(jax.vmap(task.sample_goal))
     root = stream(seed, *stream_names(task.name, difficulty, caught))
-    radius = task.scene.rope.radius
+    radius = task.scene.rope_part.parameters.radius
     widest = NARROW * radius if difficulty == "narrow" else np.inf
     parts: list[Any] = []
     found = drawn = 0
@@ -193,7 +193,7 @@ def draw_scenes(
             starts, held = reset(start_keys), np.ones(DRAWN, dtype=bool)
         obstacles = jax.vmap(simulator.obstacles)(starts)
         places = aim(goal_keys, obstacles)
-        begin = np.asarray(simulator.observations(starts).rope.points)[:, task.goal_point]
+        begin = np.asarray(simulator.observations(starts).state.points)[:, task.goal_point]
         sizes = measured(obstacles, begin, np.asarray(places), task.workspace)
         hard = held & (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > radius)
         hard &= sizes["bottleneck"] <= widest
@@ -303,7 +303,7 @@ def _check_arrays(task: Task, stored: dict[str, np.ndarray]) -> None:
         "start/obstacle_quaternion": ("float", (*count, bodies, 4)),
         "start/holding": ("bool", (*count, task.grippers)),
         "goal/targets": ("float", (*count, *targets, 3)),
-        "goal/bodies": ("bool", (*count, *targets, scene.rope_model.links + task.grippers)),
+        "goal/bodies": ("bool", (*count, *targets, scene.links + task.grippers)),
         "goal/tolerance": ("float", count),
         **{name: ("float", count) for name in stored if name.startswith("size/")},
         **{

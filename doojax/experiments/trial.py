@@ -54,7 +54,7 @@ ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it b
 
 def observed(simulator: Simulator, states: SimState) -> RopeState:
     """What a planner sees of a batch of states: rope and grippers."""
-    return simulator.observations(states).rope
+    return simulator.observations(states).state
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ class Preset:
 
 def dynamics_preset(name: PresetName, task: Task) -> Preset:
     """`quick`: smaller networks, canonical frames, inputs scaled to unit variance; `thesis`: none of it."""
-    size = {"points": task.scene.rope_model.links, "grippers": task.grippers, "origin": origin(task)}
+    size = {"points": task.scene.links, "grippers": task.grippers, "origin": origin(task)}
     if name == "thesis":
         return Preset(
             DynamicsConfig(**size), FitConfig(epochs=400, batch_size=16, members=8, schedule="constant")
@@ -58,13 +58,13 @@ def classifier_preset(name: PresetName, task: Task) -> Preset:
 
 def voxel_classifier_preset(name: PresetName, task: Task) -> Preset:
     """The thesis's classifier from voxels; `quick` has coarser voxels and fewer channels."""
-    config = VoxelClassifierConfig(task.scene.rope_model.links, view(name, task.grippers))
+    config = VoxelClassifierConfig(task.scene.links, view(name, task.grippers))
     return Preset(config, FitConfig(epochs=10 if name == "thesis" else 3, batch_size=16))
 
 
 def full_dynamics_preset(name: PresetName, task: Task) -> Preset:
     """The baseline that predicts motion among obstacles; `quick` has coarser voxels and fewer channels."""
-    config = FullDynamicsConfig(task.scene.rope_model.links, view(name, task.grippers))
+    config = FullDynamicsConfig(task.scene.links, view(name, task.grippers))
     return Preset(config, FitConfig(epochs=50 if name == "thesis" else 3, batch_size=8))
 
 

@@ -37,7 +37,7 @@ def point_goal(task: Task, position: Float[Array, "3"], *, points: Sequence[int]
     Raises:
         ValueError: for an index that the rope lacks.
     """
-    links = task.scene.rope_model.links
+    links = task.scene.links
     chosen = [task.goal_point] if points is None else list(points)
     if not chosen or not all(0 <= index < links for index in chosen):
         raise ValueError(f"points are {chosen}, expected some of the rope's points 0 to {links - 1}")
@@ -52,7 +52,7 @@ def gripper_goal(task: Task, positions: Float[Array, "G 3"]) -> Goal:
     """
     if len(positions) != task.grippers:
         raise ValueError(f"there are {len(positions)} positions for {task.grippers} grippers")
-    links = task.scene.rope_model.links
+    links = task.scene.links
     return _goal(task, list(positions), [[links + g] for g in range(task.grippers)])
 
 
@@ -72,7 +72,7 @@ def all_of(*goals: Goal) -> Goal:
 
 
 def _goal(task: Task, targets: Sequence[Array], bodies: Sequence[Sequence[int]]) -> Goal:
-    mask = np.zeros((len(targets), task.scene.rope_model.links + task.grippers), dtype=bool)
+    mask = np.zeros((len(targets), task.scene.links + task.grippers), dtype=bool)
     for row, chosen in enumerate(bodies):
         mask[row, list(chosen)] = True
     return Goal(

@@ -60,7 +60,7 @@ def simulated_start(
     simulator: Simulator, states: SimState, *, without_obstacles: bool = False
 ) -> SimulatedState:
     """A batch of states to plan from; without obstacles the dynamics are the unconstrained ones, exact."""
-    seen = simulator.observations(states).rope
+    seen = simulator.observations(states).state
     if without_obstacles:
         position, quaternion = parked_poses(states.obstacle_position.shape[-2])
         states = eqx.tree_at(

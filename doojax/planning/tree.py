@@ -109,9 +109,10 @@ def require_reachable(task: Task, obstacles: Obstacles, goals: Goal) -> None:
 
 def _along_rope(task: Task) -> Float[np.ndarray, "NG"]:
     """Where along the rope (m) its points are, and what the grippers hold."""
-    links = task.scene.rope_model.links
-    held = [gripper.link + gripper.end / 2 for gripper in task.scene.grippers]
-    return (np.array([*range(links), *held]) + 0.5) * task.scene.rope.length / links
+    links = task.scene.links
+    hands = task.scene.grippers
+    held = [hand.link + hand.end / 2 for hand in hands if hand.link is not None]
+    return (np.array([*range(links), *held]) + 0.5) * task.scene.rope_part.parameters.length / links
 
 
 def plan_of(tree: Tree) -> Plan:

@@ -1,4 +1,4 @@
-"""Where rope and grippers sit in a model's arrays, what is read off them, and how grippers are commanded."""
+"""Where the parts of a scene are in a model's arrays, and what is read off them."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,9 +11,9 @@ from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.crossing import enters
 from doojax.geometry.sdf import signed_distance
-from doojax.simulation.rope import link_name
+from doojax.simulation.parts.base import Places, Turn, split
 from doojax.simulation.scenes import Scene
-from doojax.types import Obstacles, RopeState
+from doojax.types import Obstacles, PushingState, RopeState
 
 if TYPE_CHECKING:
     import mujoco
@@ -23,13 +23,12 @@ MOST_STEPS = 10
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Index arrays into a model of one scene."""
+    """Index arrays into a model of one scene, by the names of its parts, in their order."""
 
-    links: np.ndarray  # [N] body ids
-    link_geom: int  # one of the links' capsules or spheres: all are alike
-    grippers: np.ndarray  # [G] body ids
-    gripper_qpos: np.ndarray  # [G, D] addresses of the world coordinates; D is 2 in a planar scene
-    hold_sites: np.ndarray  # [G] on the rope
+    nq: int
+    nv: int
+    places: dict[str, Places]
+    driver: str  # the name of the part that actions move
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Layout) and self._values == other._values
@@ -39,69 +38,123 @@ class Layout:
 
     @property
     def _values(self) -> tuple:
-        return tuple((np.shape(value), np.asarray(value).tobytes()) for value in vars(self).values())
+        every = ((name, *vars(own).items()) for name, own in self.places.items())
+        return self.nq, self.nv, *((name, *((f, _bytes(a)) for f, a in fields)) for name, *fields in every)
 
     @classmethod
     def of(cls, scene: Scene, model: "mujoco.MjModel") -> "Layout":
         """Look the names up once."""
-        axes = "xy" if scene.planar else "xyz"
-        count = range(len(scene.grippers))
-        return cls(
-            links=np.array([model.body(link_name(i)).id for i in range(scene.rope_model.links)]),
-            link_geom=model.geom(link_name(0)).id,
-            grippers=np.array([model.body(f"gripper{g}").id for g in count], dtype=int),
-            gripper_qpos=np.array(
-                [[model.joint(f"gripper{g}_{a}").qposadr[0] for a in axes] for g in count], dtype=int
-            ).reshape(len(scene.grippers), len(axes)),
-            hold_sites=np.array([model.site(f"gripper{g}_hold").id for g in count], dtype=int),
-        )
+        places = {part.name: part.find(model) for part in scene.parts}
+        return cls(model.nq, model.nv, places, scene.driver.name)
+
+    @property
+    def links(self) -> np.ndarray:
+        """Body ids of the rope's links, [N]."""
+        return self.places["rope"].frames[0]
+
+    @property
+    def driven(self) -> np.ndarray:
+        """Addresses in qpos of what actions move: of hands their world coordinates, [G, D]."""
+        return self.places[self.driver].qpos
+
+    @property
+    def holds(self) -> np.ndarray:
+        """Ids of the equalities that `SimState.holding` switches, [G]."""
+        return self._joined("holds")
+
+    @property
+    def coordinates(self) -> np.ndarray:
+        """What is seen of (qpos, qvel), [C]."""
+        return self._joined("coordinates")
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Ids of the geoms whose sizes are seen, [Z]."""
+        return self._joined("sizes")
+
+    def _joined(self, field: str) -> np.ndarray:
+        return np.concatenate([getattr(one, field) for one in self.places.values()]).astype(int)
+
+
+def _bytes(array: Any) -> Any:
+    if isinstance(array, tuple):
+        return tuple(_bytes(one) for one in array)
+    return array.shape, array.tobytes()
 
 
 class Observation(eqx.Module):
-    """Poses of rope and grippers, world frame, metres."""
+    """What is seen of a state, world frame, metres: what learners and planners see, and a rope's shape."""
 
-    rope: RopeState
+    state: Any  # such as a `doojax.types.RopeState`
+    hands: Float[Array, "*b G 3"]
+    hold_points: Float[Array, "*b H 3"]  # the points of the rope that hands hold
     half_links: Float[Array, "*b N 3"]  # from a link's centre to where its front cap begins
-    hold_points: Float[Array, "*b G 3"]  # the points of the rope that the grippers hold
-    radius: Float[Array, "*b"]  # of the rope
+    radius: Float[Array, "*b"]  # of the rope; 0 where there is none
 
 
-def read_observation(
-    layout: Layout,
-    geom_size: Float[Array, "*b geoms 3"],
-    xpos: Float[Array, "*b bodies 3"],
-    xmat: Float[Array, "*b bodies 3 3"],
-    site_xpos: Float[Array, "*b sites 3"],
-) -> Observation:
-    """Read rope and grippers off MuJoCo's sizes, body and site poses; batch axes first."""
-    half_length = geom_size[..., layout.link_geom, 1][..., None, None]  # zero for spheres
-    return Observation(
-        rope=RopeState(points=xpos[..., layout.links, :], grippers=xpos[..., layout.grippers, :]),
-        half_links=xmat[..., layout.links, :, :][..., 0] * half_length,
-        hold_points=site_xpos[..., layout.hold_sites, :],
-        radius=geom_size[..., layout.link_geom, 0],
-    )
-
-
-def read_sensors(
+def read_frames(
     scene: Scene,
-    half_length: Float[Array, "*b"],
-    radius: Float[Array, "*b"],
-    values: Float[Array, "*b sensors"],
+    layout: Layout,
+    xpos: Float[Array, "bodies 3"],
+    xmat: Float[Array, "bodies 3 3"],
+    site_xpos: Float[Array, "sites 3"],
+) -> Float[Array, "K 3"]:
+    """All parts' frames, off MuJoCo's poses of bodies and sites: the sensors of a model ``with_sensors``."""
+    found = []
+    for part in scene.parts:
+        for frames, ids in zip(part.frames(), layout.places[part.name].frames, strict=True):
+            if frames.kind == "axis":
+                found.append(xmat[ids][..., 0])
+            else:
+                found.append((site_xpos if frames.kind == "site" else xpos)[ids])
+    return jnp.concatenate(found)
+
+
+def observe(
+    scene: Scene,
+    layout: Layout,
+    vectors: Float[Array, "*b K 3"],
+    coordinates: Float[Array, "*b C"],
+    sizes: Float[Array, "*b Z 2"],
 ) -> Observation:
-    """Read rope and grippers off the sensors of a model built ``with_sensors``."""
-    links, grippers = scene.rope_model.links, len(scene.grippers)
-    at = values.reshape(*values.shape[:-1], -1, 3)
-    points, axes, hands, holds = jnp.split(at, np.cumsum([links, links, grippers]), axis=-2)
-    return Observation(RopeState(points, hands), axes * half_length[..., None, None], holds, radius)
+    """What is seen.
+
+    Args:
+        scene: of all elements.
+        layout: the scene's.
+        vectors: see `read_frames`.
+        coordinates: those of `Layout.coordinates`.
+        sizes: the first two sizes of `Layout.sizes`: radius and half length of a capsule.
+    """
+    places = [layout.places[part.name] for part in scene.parts]
+    own = split(vectors, [len(ids) for one in places for ids in one.frames], axis=-2)
+    values = split(coordinates, [len(one.coordinates) for one in places], axis=-1)
+    measured = split(sizes, [len(one.sizes) for one in places], axis=-2)
+    seen: dict[str, Array] = {}
+    for part, place, value, size in zip(scene.parts, places, values, measured, strict=True):
+        seen |= part.see([own.pop(0) for _ in place.frames], value, size)
+    hands, batch = seen.pop("grippers"), vectors.shape[:-2]
+    shape = {
+        "hold_points": seen.pop("hold_points"),
+        "half_links": seen.pop("half_links", jnp.zeros((*batch, 0, 3), vectors.dtype)),
+        "radius": seen.pop("radius", jnp.zeros(batch, vectors.dtype)),
+    }
+    if scene.cylinders:
+        return Observation(PushingState(hand=hands[..., 0, :], **seen), hands, **shape)
+    return Observation(RopeState(grippers=hands, **seen), hands, **shape)
+
+
+def moved(
+    scene: Scene, qpos: Float[Array, "nq"], qvel: Float[Array, "nv"], turn: Turn
+) -> tuple[Float[Array, "nq"], Float[Array, "nv"]]:
+    """Positions and velocities of all parts, moved rigidly; obstacles stay."""
+    for part in scene.parts:
+        qpos, qvel = part.moved(scene.layout.places[part.name], qpos, qvel, turn)
+    return qpos, qvel
 
 
 def clearance(scene: Scene, obstacles: Obstacles, seen: Observation) -> Float[Array, ""]:
-    """Least distance between rope or grippers and the obstacles, metres; negative when inside.
-
-    Links are sampled at their centre, ends and half way: an edge between two samples is missed by less than
-    pitch^2 / (128 radius), 1 mm for the thickest link here.
-    """
+    """Least distance between what moves and the obstacles, metres; negative when inside."""
     points, radii = _samples(scene, seen)
     return jnp.min(signed_distance(obstacles, points) - radii)
 
@@ -146,48 +199,20 @@ def look_every(scene: Scene) -> int:
 
 
 def _samples(scene: Scene, seen: Observation) -> tuple[Float[Array, "P 3"], Float[Array, "P"]]:
-    """Points on the links' axes and the grippers' centres, and the radius around each."""
-    steps = jnp.linspace(-1.0, 1.0, 5)[:, None, None]
-    links = (seen.rope.points + steps * seen.half_links).reshape(-1, 3)
-    radii = jnp.array([gripper.radius for gripper in scene.grippers], dtype=links.dtype)
-    return (
-        jnp.concatenate([links, seen.rope.grippers]),
-        jnp.concatenate([jnp.full(len(links), seen.radius), radii]),
-    )
+    """Points of all parts that may touch an obstacle, and the radius around each."""
+    points, radii = zip(*(one for part in scene.parts for one in part.samples(seen)), strict=True)
+    return jnp.concatenate(points), jnp.concatenate(radii)
 
 
 def stretch(scene: Scene, holding: Bool[Array, "G"], seen: Observation) -> Float[Array, ""]:
-    """By what fraction of its length the rope is too long, the gaps to the grippers that hold it included."""
-    length = scene.rope.length
-    gaps = jnp.where(holding, jnp.linalg.norm(seen.hold_points - seen.rope.grippers, axis=-1), 0.0).sum()
-    if scene.rope_model.kind != "point_masses":
+    """By what fraction of its length a rope is too long, the gaps to the grippers that hold it included."""
+    if scene.rope is None:
+        return jnp.zeros((), seen.hands.dtype)
+    length, model = scene.rope.length, scene.rope_part.model
+    holds = np.array([g for g, gripper in enumerate(scene.grippers) if gripper.link is not None], dtype=int)
+    gaps = jnp.where(holding, jnp.linalg.norm(seen.hold_points - seen.hands[holds], axis=-1), 0.0).sum()
+    if model.kind != "point_masses":
         return gaps / length  # the links of a chain are rigid
-    pitch = length / scene.rope_model.links
-    steps = jnp.linalg.norm(seen.rope.points[1:] - seen.rope.points[:-1], axis=-1)
+    pitch = length / model.links
+    steps = jnp.linalg.norm(seen.state.points[1:] - seen.state.points[:-1], axis=-1)
     return (gaps + (steps - pitch).sum()) / length
-
-
-def gripper_targets(scene: Scene, hand: Any, commanded: Any, action: Any, xp: Any = jnp) -> Any:
-    """Where each gripper is sent at each of S physics steps of a control period, ``[*b, S, G, D]``, metres.
-
-    The target moves by the action, in a straight line at the gripper's maximum speed, and then stays. It sets
-    out from where the gripper was last sent, so that a load that keeps the hand from getting there quite does
-    not make it sink from action to action; but it leads the hand, along each axis, by no more than the
-    controller's greatest force needs: a hand held back by an obstacle turns round at once.
-
-    Args:
-        scene: whose grippers.
-        hand: ``[*b, G, D]``, where the grippers are, m.
-        commanded: ``[*b, G, D]``, where they were last sent, m.
-        action: ``[*b, G, D]``, displacements, m.
-        xp: jax.numpy or numpy.
-    """
-    lead = xp.array([[gripper.lead] for gripper in scene.grippers], dtype=hand.dtype)
-    start = xp.clip(commanded, hand - lead, hand + lead)
-    square = (action**2).sum(-1)
-    short = square < 1e-18  # m^2; at zero the square root has no derivative
-    distance = xp.where(short, 1e-9, xp.where(short, 1.0, square) ** 0.5)
-    speed = xp.array([gripper.max_speed for gripper in scene.grippers], dtype=hand.dtype)
-    elapsed = xp.arange(1, scene.substeps + 1, dtype=hand.dtype) * scene.timestep
-    fraction = xp.minimum(elapsed[:, None] * (speed / distance)[..., None, :], 1.0)
-    return start[..., None, :, :] + fraction[..., None] * action[..., None, :, :]

@@ -1,19 +1,27 @@
-"""What is in a scene, as plain data: rope, grippers, obstacles and the settings of the solver.
+"""What is in a scene, as plain data: rope, hands, objects, obstacles and the settings of the solver.
 
-Nothing here imports MuJoCo; `doojax.simulation.build` turns a `Scene` into a model that every engine runs.
+Nothing here imports MuJoCo: `Scene.parts` are what the data stand for, and `doojax.simulation.build` turns
+them into a model that every engine runs.
 """
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Float
 
 from doojax.geometry.frames import rotate
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.types import Obstacles, ShapeKind
+
+if TYPE_CHECKING:
+    from doojax.simulation.layout import Layout
+    from doojax.simulation.parts import Part
+    from doojax.simulation.parts.hands import Hands
+    from doojax.simulation.parts.ropes import Rope
 
 PARKED_POSITION = (0.0, 0.0, -10.0)
 PARKED_QUATERNION = (
@@ -51,7 +59,7 @@ class Gripper:
     rope from being overstretched.
     """
 
-    link: int  # index of the rope link held
+    link: int | None  # index of the rope link held; None: a hand that holds nothing, and pushes
     end: Literal[-1, 0, 1]  # which end of the link: -1 towards link 0, +1 towards the last link, 0 its centre
     radius: float  # m
     max_force: float  # N
@@ -64,6 +72,24 @@ class Gripper:
     def lead(self) -> float:
         """Metres along an axis that a command can be ahead of the hand: beyond, the force is at its bound."""
         return self.max_force / self.stiffness
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A rigid body that stands upright on the floor, and is pushed about; its pose is state."""
+
+    radius: float  # m
+    height: float  # m
+    mass: float  # kg
+    friction: float  # Coulomb coefficient against floor, hands and other bodies
+
+    def __post_init__(self):
+        """Refuse values without a physical meaning."""
+        for name, value in vars(self).items():
+            if not (value >= 0 if name == "friction" else value > 0):
+                raise ValueError(
+                    f"a cylinder's {name} is {value}, expected {'>= 0' if name == 'friction' else '> 0'}"
+                )
 
 
 @dataclass(frozen=True)
@@ -88,8 +114,8 @@ class Scene:
     """Everything that is compiled; positions, obstacle poses and rope parameters are data."""
 
     name: str
-    rope_model: RopeModel
-    rope: RopeParameters
+    rope_model: RopeModel | None  # None: there is no rope
+    rope: RopeParameters | None
     grippers: tuple[Gripper, ...]
     obstacles: tuple[Obstacle, ...] = ()
     floor: bool = True  # at z = 0
@@ -101,43 +127,103 @@ class Scene:
         "euler"  # rk4 keeps the energy of an undamped rope, at 4 times the cost
     )
     solver: SolverSettings = field(default_factory=SolverSettings)
+    cylinders: tuple[Cylinder, ...] = field(default=(), repr=False)  # repr: see `digest`
 
     def __post_init__(self):
-        """Refuse grippers that hold a link the rope lacks."""
+        """Refuse a rope without a model, and grippers that hold a link the rope lacks."""
+        if (self.rope is None) != (self.rope_model is None):
+            raise ValueError(
+                f"rope_model is {self.rope_model} and rope {self.rope}: expected both, or None twice"
+            )
+        if self.cylinders and (self.rope is not None or len(self.grippers) != 1):
+            raise ValueError(
+                f"scene {self.name!r} has cylinders, {len(self.grippers)} hands and "
+                f"{'no' if self.rope is None else 'a'} rope: expected one hand that pushes, and no rope"
+            )
         for index, gripper in enumerate(self.grippers):
-            if not 0 <= gripper.link < self.rope_model.links:
-                raise ValueError(
-                    f"gripper {index} holds link {gripper.link}, but the rope's links are 0 to "
-                    f"{self.rope_model.links - 1}"
-                )
+            if gripper.link is not None and not 0 <= gripper.link < self.links:
+                there = f"the rope's links are 0 to {self.links - 1}" if self.links else "there is no rope"
+                raise ValueError(f"gripper {index} holds link {gripper.link}, but {there}")
 
     @property
     def digest(self) -> str:
-        """Differs where anything here does: data that were simulated otherwise are told by it."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
+        """Differs where anything here does: data that were simulated otherwise are told by it.
+
+        Kinds of parts that came later count where there are any, so that data of before keep theirs.
+        """
+        text = repr(self) + (repr(self.cylinders) if self.cylinders else "")
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @cached_property
+    def parts(self) -> "tuple[Part, ...]":
+        """What the scene is made of, in the order in which it is added."""
+        from doojax.simulation.parts.cylinders import Cylinders
+        from doojax.simulation.parts.surroundings import Floor, ObstacleBodies
+
+        planar_rope = self.rope is not None and self.planar  # which cannot leave its plane
+        return (
+            *([Floor()] if self.floor and not planar_rope else []),
+            ObstacleBodies(self.obstacles),
+            *([self.rope_part] if self.rope is not None else []),
+            self.driver,
+            *([Cylinders(self.cylinders)] if self.cylinders else []),
+        )
+
+    @cached_property
+    def rope_part(self) -> "Rope":
+        """The rope. Raises ValueError where there is none."""
+        from doojax.simulation.parts.ropes import Rope
+
+        if self.rope_model is None or self.rope is None:
+            raise ValueError(f"scene {self.name!r} has no rope")
+        return Rope(self.rope_model, self.rope)
+
+    @cached_property
+    def driver(self) -> "Hands":
+        """The part that actions move."""
+        from doojax.simulation.parts.hands import Hands
+
+        return Hands(self.grippers, self.planar)
+
+    @cached_property
+    def layout(self) -> "Layout":
+        """Where everything is in the state; compiles the scene when it is first asked."""
+        from doojax.simulation.build import build_model
+        from doojax.simulation.layout import Layout
+
+        return Layout.of(self, build_model(self))
+
+    @property
+    def links(self) -> int:
+        """Of the rope; 0 where there is none."""
+        return 0 if self.rope_model is None else self.rope_model.links
 
     @property
     def planar(self) -> bool:
-        """Do rope and grippers move in a horizontal plane only?"""
-        return self.rope_model.kind == "planar_chain"
+        """Do the hands, and what they handle, move in a horizontal plane only?"""
+        return bool(self.cylinders) or (
+            self.rope_model is not None and self.rope_model.kind == "planar_chain"
+        )
+
+    @property
+    def plane_height(self) -> float:
+        """Of a planar scene: how high the centres of all that moves are, m."""
+        return self.cylinders[0].radius if self.cylinders else self.rope_part.parameters.radius
+
+    @property
+    def friction(self) -> float:
+        """Coulomb's coefficient of what the hands handle."""
+        return self.cylinders[0].friction if self.cylinders else self.rope_part.parameters.friction
 
     @property
     def nq(self) -> int:
-        """Number of generalised positions: the rope's, then each gripper's."""
-        free_root = self.rope_model.kind == "capsule_chain"
-        return self.nv + int(free_root)  # a quaternion has four numbers
+        """Number of generalised positions."""
+        return self.layout.nq
 
     @property
     def nv(self) -> int:
         """Number of degrees of freedom."""
-        links, hands = self.rope_model.links, len(self.grippers)
-        rope = {"planar_chain": links + 2, "capsule_chain": 3 * links + 3, "point_masses": 3 * links}
-        return rope[self.rope_model.kind] + (2 if self.planar else 3) * hands
-
-    def hands(self, qpos: Shaped[Any, "*b nq"]) -> Shaped[Any, "*b G D"]:
-        """The grippers' world coordinates (m) among generalised positions; D is 2 in a plane, else 3."""
-        count, axes = len(self.grippers), 2 if self.planar else 3
-        return qpos[..., self.nq - count * axes :].reshape(*qpos.shape[:-1], count, axes)
+        return self.layout.nv
 
     @property
     def control_period(self) -> float:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from doojax.simulation.scenes import Scene
-from doojax.types import Obstacles, RopeState, Trajectory
+from doojax.types import Obstacles, Trajectory
 
 MAX_VELOCITY = 1000.0  # m/s or rad/s: beyond it a state counts as unstable
 
@@ -29,10 +29,10 @@ class SimState(eqx.Module):
 
     qpos: Float[Array, "*b nq"]
     qvel: Float[Array, "*b nv"]
-    commanded: Float[Array, "*b G D"]  # where each gripper was last sent, world frame, m; D is 2 in a plane
+    commanded: Float[Array, "..."]  # of hands: where each was last sent, world frame, m, [*b, G, D]
     obstacle_position: Float[Array, "*b B 3"]  # of the scene's obstacle bodies, world frame, m
     obstacle_quaternion: Float[Array, "*b B 4"]
-    holding: Bool[Array, "*b G"]  # does gripper g hold its link?
+    holding: Bool[Array, "*b H"]  # does each gripper that has a link hold it?
     faults: Int[Array, "*b"]  # Fault bits of the last control period
     model_fields: dict[str, Any]  # model values that differ by element; empty for the scene's own rope
 
@@ -40,14 +40,15 @@ class SimState(eqx.Module):
 def at_rest(
     scene: Scene, qpos: Float[Array, "nq"], position: Float[Array, "B 3"], quaternion: Float[Array, "B 4"]
 ) -> SimState:
-    """The scene's own rope at rest, held by every gripper, its B obstacle bodies at the given poses (m)."""
+    """All at rest, the rope held by every gripper, the B obstacle bodies at the given poses (m)."""
+    layout = scene.layout
     return SimState(
         qpos=qpos,
-        qvel=jnp.zeros(scene.nv, qpos.dtype),
-        commanded=scene.hands(qpos),
+        qvel=jnp.zeros(layout.nv, qpos.dtype),
+        commanded=qpos[layout.driven],
         obstacle_position=position,
         obstacle_quaternion=quaternion,
-        holding=jnp.ones(len(scene.grippers), dtype=bool),
+        holding=jnp.ones(len(layout.holds), dtype=bool),
         faults=jnp.array(0, dtype=jnp.int32),
         model_fields={},
     )
@@ -65,12 +66,12 @@ class Simulator(Protocol):
         """A start drawn from the task's distribution."""
         ...
 
-    def step(self, state: SimState, action: Float[Array, "G 3"]) -> SimState:
-        """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
+    def step(self, state: SimState, action: Float[Array, "*action"]) -> SimState:
+        """One control period: move each hand by ``action`` [G, 3] (m, world axes), at bounded speed."""
         ...
 
-    def observe(self, state: SimState) -> RopeState:
-        """Link centres and gripper positions, world frame, metres."""
+    def observe(self, state: SimState) -> Any:
+        """What learners and planners see of it: such as a `doojax.types.RopeState`."""
         ...
 
     def observations(self, states: SimState) -> Any:
@@ -81,7 +82,7 @@ class Simulator(Protocol):
         """The primitives of the obstacles where they are."""
         ...
 
-    def rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+    def rollout(self, states: SimState, actions: Float[Array, "B T *action"]) -> tuple[SimState, Trajectory]:
         """T control periods of B elements: the bulk path. Returns the last states and all that was seen."""
         ...
 

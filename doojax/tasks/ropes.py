@@ -36,7 +36,7 @@ class OtherRope:
 
     def parameters(self, scene: Scene) -> RopeParameters:
         """All parameters. Raises ValueError for values without a physical meaning."""
-        return replace(scene.rope, **self.given)
+        return replace(scene.rope_part.parameters, **self.given)
 
 
 OWN = OtherRope()

@@ -13,9 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from doojax.geometry.frames import quaternion_from_yaw, quaternion_multiply, quaternion_yaw, rotate
+from doojax.geometry.frames import quaternion_from_yaw, quaternion_yaw, rotate
 from doojax.geometry.sdf import signed_distance
 from doojax.modules import Jittable
+from doojax.simulation.layout import moved as moved_parts
+from doojax.simulation.parts import Turn
 from doojax.simulation.scenes import Scene, obstacles_at, parked_poses
 from doojax.simulation.state import Fault, SimState, at_rest
 
@@ -82,64 +84,23 @@ def moved(
     scene: Scene, qpos: Float[Array, "nq"], translation: Float[Array, "3"], yaw: Float[Array, ""]
 ) -> Float[Array, "nq"]:
     """Turn rope and grippers about the world's z axis by ``yaw`` (rad), then move by ``translation`` (m)."""
-    return _moved_positions(scene, qpos, translation, quaternion_from_yaw(yaw), yaw)
+    still = jnp.zeros(scene.nv, qpos.dtype)
+    return moved_parts(scene, qpos, still, Turn(quaternion_from_yaw(yaw), yaw, translation))[0]
 
 
 def moved_state(
     scene: Scene, state: SimState, translation: Float[Array, "3"], quaternion: Float[Array, "4"]
 ) -> SimState:
-    """Rope and grippers turned about the world's origin, then moved by ``translation`` (m).
+    """All that moves turned about the world's origin, then moved by ``translation`` (m).
 
-    Velocities and commands go with them, obstacles stay. In a planar scene only the turn about z and the
+    Velocities and commands go with it, obstacles stay. In a planar scene only the turn about z and the
     translation in the plane count.
     """
     yaw = quaternion_yaw(quaternion)
-    turn = quaternion_from_yaw(yaw) if scene.planar else quaternion
-    count, width = len(scene.grippers), 2 if scene.planar else 3
-    if scene.rope_model.kind == "point_masses":
-        qvel = rotate(turn, state.qvel.reshape(-1, 3)).reshape(-1)
-    else:  # a root's angular velocity is its own frame's, or about z
-        linear = _turned(turn, state.qvel[:width])
-        hands = _turned(turn, state.qvel[-width * count :].reshape(count, width)).reshape(-1)
-        qvel = jnp.concatenate([linear, state.qvel[width : len(state.qvel) - width * count], hands])
-    return replace(
-        state,
-        qpos=_moved_positions(scene, state.qpos, translation, turn, yaw),
-        qvel=qvel,
-        commanded=_turned(turn, state.commanded) + translation[:width],
-    )
-
-
-def _turned(turn: Float[Array, "4"], vectors: Float[Array, "*b D"]) -> Float[Array, "*b D"]:
-    """Vectors in space, or in the plane by a turn about z."""
-    flat = vectors.shape[-1] == 2
-    spatial = jnp.concatenate([vectors, jnp.zeros((*vectors.shape[:-1], 1))], -1) if flat else vectors
-    return rotate(turn, spatial)[..., : vectors.shape[-1]]
-
-
-def _moved_positions(
-    scene: Scene,
-    qpos: Float[Array, "nq"],
-    translation: Float[Array, "3"],
-    turn: Float[Array, "4"],
-    yaw: Float[Array, ""],
-) -> Float[Array, "nq"]:
-    if scene.rope_model.kind == "point_masses":  # whose positions are in the world
-        return (rotate(turn, qpos.reshape(-1, 3)) + translation).reshape(-1)
-    if scene.planar:
-        root, grippers = qpos[:3], qpos[-2 * len(scene.grippers) :].reshape(-1, 2)
-        origin = jnp.array([_middle_offset(scene), 0.0, 0.0])
-        point = rotate(turn, jnp.append(root[:2], 0.0) + origin) + translation - origin
-        root = jnp.stack([point[0], point[1], root[2] + yaw])
-        flat = jnp.concatenate([grippers, jnp.zeros((grippers.shape[0], 1))], axis=1)
-        grippers = (rotate(turn, flat) + translation)[:, :2]
-        count, width = 3, 2
-    else:
-        root = jnp.concatenate([rotate(turn, qpos[:3]) + translation, quaternion_multiply(turn, qpos[3:7])])
-        grippers = rotate(turn, qpos[-3 * len(scene.grippers) :].reshape(-1, 3)) + translation
-        count, width = 7, 3
-    inner = qpos[count : qpos.shape[0] - width * len(scene.grippers)]
-    return jnp.concatenate([root, inner, grippers.reshape(-1)])
+    turn = Turn(quaternion_from_yaw(yaw) if scene.planar else quaternion, yaw, translation)
+    qpos, qvel = moved_parts(scene, state.qpos, state.qvel, turn)
+    commanded = scene.driver.moved_command(state.commanded, turn)
+    return replace(state, qpos=qpos, qvel=qvel, commanded=commanded)
 
 
 def settle_bank(
@@ -158,13 +119,13 @@ def settle_bank(
     if np.any(trajectory.faults):
         raise RuntimeError(f"the rope of scene {scene.name!r} is unstable on its own: change its parameters")
     seen = simulator.observations(last)
-    links = scene.rope_model.links
     steps = np.linspace(-1, 1, 3)[:, None, None]
-    points = (seen.rope.points[:, None] + steps * seen.half_links[:, None]).reshape(count, -1, 3)
-    radius = [scene.rope.radius] * (3 * links) + [gripper.radius for gripper in scene.grippers]
+    points = (seen.state.points[:, None] + steps * seen.half_links[:, None]).reshape(count, -1, 3)
+    rope, hands = scene.rope_part.parameters, [gripper.radius for gripper in scene.grippers]
+    radius = [rope.radius] * (3 * scene.links) + hands
     return RopeBank(
         qpos=last.qpos,
-        points=jnp.concatenate([jnp.asarray(points), jnp.asarray(seen.rope.grippers)], axis=1),
+        points=jnp.concatenate([jnp.asarray(points), jnp.asarray(seen.hands)], axis=1),
         radius=jnp.array(radius),
     )
 
@@ -177,16 +138,11 @@ def resting(scene: Scene, qpos: Float[np.ndarray, "K nq"]) -> SimState:
 
 def straight_qpos(scene: Scene, height: float) -> Float[np.ndarray, "nq"]:
     """Generalised positions: rope straight along x at ``height`` (m), grippers at the ends they hold."""
-    links, length = scene.rope_model.links, scene.rope.length
-    pitch = length / links
-    holds = [(g.link + 0.5 + g.end / 2) * pitch - length / 2 for g in scene.grippers]
-    if scene.planar:
-        return np.concatenate([np.zeros(2 + links), *([x, 0.0] for x in holds)])
-    root = [_middle_offset(scene), 0.0, height, 1.0, 0.0, 0.0, 0.0]
-    return np.concatenate([root, np.zeros(3 * (links - 1)), *([x, 0.0, height] for x in holds)])
-
-
-def _middle_offset(scene: Scene) -> float:
-    """Where the rope's root link lies along x in the model's reference pose."""
-    links = scene.rope_model.links
-    return (links // 2 + 0.5) * scene.rope.length / links - scene.rope.length / 2
+    rope, places = scene.rope_part, scene.layout.places
+    qpos = np.zeros(scene.nq)
+    if not scene.planar:
+        qpos[places[rope.name].qpos] = [rope.root_offset, 0.0, height, 1.0, 0.0, 0.0, 0.0]
+    for gripper, addresses in zip(scene.grippers, scene.layout.driven, strict=True):
+        x = 0.0 if gripper.link is None else rope.along(gripper.link, gripper.end)
+        qpos[addresses] = [x, 0.0] if scene.planar else [x, 0.0, height]
+    return qpos

@@ -127,7 +127,7 @@ class ToySimulator(Jittable):
         history = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), state, history)
         seen, obstacles = self.observations(history), self.obstacles(state)
         return last, Trajectory(
-            states=seen.rope,
+            states=seen.state,
             actions=actions,
             faults=history.faults[1:],
             clearance=jax.vmap(lambda o: clearance(self.scene, obstacles, o))(seen),
@@ -136,7 +136,8 @@ class ToySimulator(Jittable):
 
     def _observation(self, state: SimState) -> Observation:
         rope = self.observe(state)
-        return Observation(rope, jnp.zeros_like(rope.points), rope.points[-1:], jnp.array(RADIUS))
+        half_links = jnp.zeros_like(rope.points)
+        return Observation(rope, rope.grippers, rope.points[-1:], half_links, jnp.array(RADIUS))
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,8 @@ def test_a_bent_rope_lies_where_its_inclinations_say():
     states = state_of(scene, bent_qpos(scene, np.array([1.0, 0.0, 3.0]), shape)[None])
     seen = engine_of(scene, "mujoco").observations(states)
     expected = [[1.1, 0, 3.0], [1.2, 0, 2.9], [1.2, 0, 2.7], [1.3, 0, 2.6]]
-    np.testing.assert_allclose(seen.rope.points[0], expected, atol=1e-6)
-    np.testing.assert_allclose(seen.rope.grippers[0], [[1.0, 0, 3.0]], atol=1e-6)
+    np.testing.assert_allclose(seen.state.points[0], expected, atol=1e-6)
+    np.testing.assert_allclose(seen.state.grippers[0], [[1.0, 0, 3.0]], atol=1e-6)
     with pytest.raises(ValueError, match="3 inclinations for a capsule_chain of 4 links"):
         bent_qpos(scene, np.zeros(3), np.zeros(3))
 

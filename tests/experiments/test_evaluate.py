@@ -144,7 +144,7 @@ class Poisoned:
 
 def test_a_trial_that_crashes_is_recorded_and_takes_no_other_along():
     some = trials()
-    tail = SIMULATOR.observations(some.starts).rope.points[1, 0]
+    tail = SIMULATOR.observations(some.starts).state.points[1, 0]
     blind = Method("blind", Towed(), BLIND)
     poisoned = Method("poisoned", Poisoned(tail), BLIND)
     ran = attempted(TOY, SIMULATOR, poisoned, PLANNING, SETTINGS, some)

@@ -86,7 +86,7 @@ def test_where_the_rope_is_caught_an_obstacle_held_the_last_action_back(tmp_path
     assert not scenes.draw_scenes(TOY, 1, 3).caught
     simulator = TOY.simulator()
     obstacles = jax.vmap(simulator.obstacles)(read.starts)
-    rope = simulator.observations(read.starts).rope
+    rope = simulator.observations(read.starts).state
     bodies = jnp.concatenate([rope.points, rope.grippers], axis=1)
     distance = jax.vmap(signed_distance)(obstacles, bodies).min(1)
     assert (np.asarray(distance) < 0.01 + scenes.TOUCHING).all()  # the radius of rope and gripper is 1 cm

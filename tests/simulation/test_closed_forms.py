@@ -72,7 +72,7 @@ def test_a_clamped_rope_sags_as_the_elastica(links):
     simulator = MujocoSimulator(scenes[0], start=no_start)
     states = replace(straight_states(scenes[0], 3), model_fields=fields)
     last, _ = simulator.rollout(states, jnp.zeros((3, 20, 1, 3)))
-    points = np.asarray(simulator.observations(last).rope.points)
+    points = np.asarray(simulator.observations(last).state.points)
     pitch = 0.5 / links
     for own, stiffness in zip(points, stiffnesses, strict=True):
         free = 0.5 - pitch / 2  # the clamp holds the middle of link 0

@@ -188,7 +188,7 @@ def test_a_rope_pulled_taut_over_an_edge_neither_bursts_nor_passes_through_it():
     scene = DualGripper().scene
     states = SimState(
         **start,
-        commanded=scene.hands(start["qpos"]),
+        commanded=start["qpos"][:, scene.layout.driven],
         faults=jnp.zeros(BATCH, dtype=jnp.int32),
         model_fields={},
     )

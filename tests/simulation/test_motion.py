@@ -11,7 +11,8 @@ import pytest
 from doojax.simulation.build import with_parameters
 from doojax.simulation.engines import make_simulator
 from doojax.simulation.engines.mujoco import MujocoSimulator
-from doojax.simulation.layout import gripper_targets, look_every
+from doojax.simulation.layout import look_every
+from doojax.simulation.parts.hands import gripper_targets
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape
 from doojax.simulation.state import Fault, SimState

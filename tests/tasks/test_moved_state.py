@@ -58,7 +58,7 @@ def test_a_tilted_rope_is_seen_tilted():
     simulator = MujocoSimulator(scene, start=lambda key: starts)
     motion = RigidMotion.of(jnp.array([0.3, -0.2, 0.1, 0.4, -0.9, 1.2]), jnp.array([0.1, 0.2, 1.0]))
     tilted = jax.vmap(lambda state: moved_state(scene, state, motion.about_origin, motion.quaternion))(starts)
-    seen, before = (simulator.observations(states).rope for states in (tilted, starts))
+    seen, before = (simulator.observations(states).state for states in (tilted, starts))
     expected = jax.tree.map(jnp.asarray, before).moved(motion)
     np.testing.assert_allclose(seen.points, expected.points, atol=2e-6)
     np.testing.assert_allclose(seen.grippers, expected.grippers, atol=2e-6)

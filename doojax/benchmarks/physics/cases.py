@@ -122,25 +122,25 @@ def bent_qpos(
     Raises:
         ValueError: for another kind of rope, or another number of inclinations (rad) than links.
     """
-    links, pitch = scene.rope_model.links, scene.rope.length / scene.rope_model.links
-    if scene.rope_model.kind != "capsule_chain" or len(inclinations) != links:
+    links, pitch = scene.links, scene.rope_part.parameters.length / scene.links
+    if scene.rope_part.model.kind != "capsule_chain" or len(inclinations) != links:
         raise ValueError(
-            f"{len(inclinations)} inclinations for a {scene.rope_model.kind} of {links} links: expected one "
-            "for each link of a capsule_chain"
+            f"{len(inclinations)} inclinations for a {scene.rope_part.model.kind} of {links} links: expected "
+            "one for each link of a capsule_chain"
         )
     model, middle = build_model(scene), links // 2
     along = np.stack([np.cos(inclinations), 0 * inclinations, -np.sin(inclinations)], -1)
     centres = start + pitch * (np.cumsum(along, axis=0) - along / 2)
     qpos = np.array(straight_qpos(scene, 0.0), dtype=float)
     half = inclinations[middle] / 2
-    qpos[:7] = [*centres[middle], np.cos(half), 0.0, np.sin(half), 0.0]
+    qpos[scene.layout.places["rope"].qpos] = [*centres[middle], np.cos(half), 0.0, np.sin(half), 0.0]
     for link in (i for i in range(links) if i != middle):
         before = link - 1 if link > middle else link + 1
         address = model.joint(f"{link_name(link)}_bend_y").qposadr[0]
         qpos[address] = inclinations[link] - inclinations[before]
     hands = [centres[g.link] + g.end * pitch / 2 * along[g.link] for g in scene.grippers]
     if hands:
-        qpos[-3 * len(hands) :] = np.concatenate(hands)
+        qpos[scene.layout.driven] = hands
     return qpos
 
 
@@ -184,5 +184,5 @@ def fitted_frequency(times: Float[np.ndarray, "T"], signal: Float[np.ndarray, "T
 
 def points_of(scene: Scene, states: list[SimState]) -> Float[np.ndarray, "T B N 3"]:
     """Centres of the links (m) in T batches of B states."""
-    seen = engine_of(scene, "mujoco").observations(stacked(states)).rope.points
+    seen = engine_of(scene, "mujoco").observations(stacked(states)).state.points
     return np.asarray(seen, dtype=float).reshape(len(states), -1, *seen.shape[1:])

@@ -74,7 +74,8 @@ def edge(settings: Settings, engine: str) -> Iterator[Finding]:
     box, table = names.index("box4"), names.index("table")
     half = scene.obstacles[box].shapes[0].half_size[2]
     qpos = straight_qpos(scene, TABLE_TOP + 2 * half + 0.06)
-    qpos[[0, -6, -3]] += 0.8
+    layout = scene.layout
+    qpos[[layout.places["rope"].qpos[0], *layout.driven[:, 0]]] += 0.8
     states = placed(
         state_of(scene, qpos[None]),
         {table: (0.8, 0.0, TABLE_TOP - 0.06), box: (0.8, 0.0, TABLE_TOP + half)},
@@ -96,7 +97,7 @@ def plates(
     """How fast a rope may hit a plate without going through it, and how often it goes through unnoticed."""
     for thickness in thicknesses if engine == "mujoco" else thicknesses[:1]:
         plate = Obstacle("plate", (Shape(ShapeKind.BOX, (0.8, 0.8, thickness / 2)),), friction=0.5)
-        rope, chain = make_task("dual_gripper").scene.rope, RopeModel("capsule_chain", 25)
+        rope, chain = make_task("dual_gripper").scene.rope_part.parameters, RopeModel("capsule_chain", 25)
         scene = Scene("plate", chain, rope, (still_hand(0),), (plate,), floor=False, gravity=GRAVITY)
         scene = settings.of(replace(scene, viscosity=0.15), 0.5)
         lean = np.full(chain.links, np.radians(3.0))

@@ -25,7 +25,7 @@ def energy(scene: Scene, states: list[SimState]) -> Float[np.ndarray, "T B"]:
         (before, behind, _), (points, axes, given), (after, ahead, _) = (
             _observed(scene, states, step) for step in (-EPSILON, 0.0, EPSILON)
         )
-    links, rope = scene.rope_model.links, scene.rope
+    links, rope = scene.links, scene.rope_part.parameters
     mass, pitch = rope.mass / links, rope.length / links
     speed, turning = (after - before) / (2 * EPSILON), (ahead - behind) / (2 * EPSILON)
     kinetic = mass / 2 * ((speed**2).sum(-1) + pitch**2 / 12 * (turning**2).sum(-1)).sum(-1)
@@ -42,9 +42,9 @@ def _observed(scene: Scene, states: list[SimState], step: float) -> tuple[np.nda
     seen = engine_of(scene, "mujoco").observations(moved)
     axes = np.asarray(seen.half_links, dtype=float)
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-    sunk = np.asarray(seen.rope.grippers - seen.hold_points, dtype=float)[:, 0, 2]
+    sunk = np.asarray(seen.hands - seen.hold_points, dtype=float)[:, 0, 2]
     shape = (len(states), -1, *axes.shape[1:])
-    points = np.asarray(seen.rope.points, dtype=float)
+    points = np.asarray(seen.state.points, dtype=float)
     return points.reshape(shape), axes.reshape(shape), sunk.reshape(shape[:2])
 
 

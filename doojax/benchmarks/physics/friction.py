@@ -42,7 +42,8 @@ def friction(settings: Settings, engine: str, links: int = LINKS) -> Iterator[Fi
             case = Case(engine, settings, {"rope": kind, "friction": mu})
             scene = lying(settings, kind, links, mu)
             if engine == "mujoco":
-                yield case.found("drag_over_weight", dragged(scene) / (mu * GRAVITY * scene.rope.mass), 1, "")
+                weight = GRAVITY * scene.rope_part.parameters.mass
+                yield case.found("drag_over_weight", dragged(scene) / (mu * weight), 1, "")
             speed = 8 * mu  # m/s: it stops after 0.8 s
             angles = np.radians(np.append(np.linspace(0, 360, DIRECTIONS, endpoint=False), PUSHED))
             slid = pushed(scene, engine, speed, angles, 1.8)
@@ -69,7 +70,7 @@ def lying(settings: Settings, kind: RopeKind, links: int, mu: float) -> Scene:
 
 def dragged(scene: Scene) -> float:
     """The force (N) with which a hand drags a rope along itself, the mean over the third second."""
-    stepper = Stepper(scene, straight_qpos(scene, scene.rope.radius))
+    stepper = Stepper(scene, straight_qpos(scene, scene.rope_part.parameters.radius))
     along = np.eye(stepper.home.shape[1])[0]
     samples = stepper.steps(3.0, lambda time: stepper.home + SPEED * time * along)
     return mean_force(samples, 2.0, 0, 0)
@@ -79,7 +80,7 @@ def pushed(
     scene: Scene, engine: str, speed: float, angles: Float[np.ndarray, "B"], seconds: float
 ) -> Float[np.ndarray, "B 2"]:
     """How far (m) ropes slide whose links all start with ``speed`` (m/s) at ``angles`` (rad) to the rope."""
-    qpos = np.tile(straight_qpos(scene, scene.rope.radius), (len(angles), 1))
+    qpos = np.tile(straight_qpos(scene, scene.rope_part.parameters.radius), (len(angles), 1))
     states = state_of(scene, qpos, holding=False)
     push = speed * np.stack([np.cos(angles), np.sin(angles)], -1)
     states = eqx.tree_at(lambda s: s.qvel, states, states.qvel.at[:, :2].set(push))

@@ -49,7 +49,8 @@ def catenaries(settings: Settings, engine: str) -> Iterator[Finding]:
         states = state_of(scene, straight_qpos(scene, 2.0)[None])
         simulator = engine_of(scene, engine)
         last, seen = simulator.rollout(states, jnp.asarray(actions, dtype=jnp.float32))
-        rope, length, count = simulator.observations(last).rope, scene.rope.length, scene.rope_model.links
+        rope, count = simulator.observations(last).state, scene.links
+        length = scene.rope_part.parameters.length
         curve = catenary(rope.grippers[0, 0], rope.grippers[0, 1], jnp.array(length), 2 * count + 1)[1::2]
         rms = np.sqrt(((np.asarray(rope.points[0]) - np.asarray(curve)) ** 2).sum(-1).mean())
         case = Case(engine, settings, {"rise_m": rise})
@@ -74,14 +75,14 @@ def cantilevers(settings: Settings, engine: str, links: tuple[int, ...] = LINKS)
     for count in links if engine == "mujoco" else links[:1]:
         scenes = [clamped_scene(count, stiffness, end=-1) for stiffness in STIFFNESSES]
         scene = settings.of(scenes[0], 1.0)
-        fields = with_parameters(scene, [one.rope for one in scenes])
+        fields = with_parameters(scene, [one.rope_part.parameters for one in scenes])
         start = np.tile(straight_qpos(scene, 1.0), (len(scenes), 1))
         states = replace(state_of(scene, start), model_fields={k: jnp.asarray(v) for k, v in fields.items()})
         simulator = engine_of(scene, engine)
         last, _ = simulator.rollout(states, jnp.zeros((len(scenes), 8, 1, 3)))
         seen = simulator.observations(last)
-        for own, held, one in zip(seen.rope.points, seen.hold_points, scenes, strict=True):
-            rope, pitch = one.rope, one.rope.length / count
+        for own, held, one in zip(seen.state.points, seen.hold_points, scenes, strict=True):
+            rope, pitch = one.rope_part.parameters, one.rope_part.parameters.length / count
             curve = clamped_elastica(
                 rope.length, rope.bending_stiffness, rope.mass * GRAVITY / rope.length, 2001
             )
@@ -98,7 +99,8 @@ def cantilevers(settings: Settings, engine: str, links: tuple[int, ...] = LINKS)
 def vibration(settings: Settings, engine: str, stiffness: float, links: int = 25) -> Finding:
     """First frequency of a clamped rope that starts straight and swings about its sag, undamped."""
     scene = clamped_scene(links, stiffness, end=-1, damping=0.0)
-    exact = cantilever_frequency(scene.rope.length, stiffness, scene.rope.mass)
+    rope = scene.rope_part.parameters
+    exact = cantilever_frequency(rope.length, stiffness, rope.mass)
     tags = {"bending_stiffness": stiffness, "links": links}
     scene = replace(settings.of(scene, 0.1 / exact), integrator="rk4")
     if settings.timestep is not None:
@@ -122,7 +124,8 @@ def twists(settings: Settings, engine: str, links: tuple[int, ...] = TWISTED) ->
         stepper.twist(count - 1, 5e-3)
         stepper.steps(5.0)
         # a torque on the last link reaches the rope's end: that link, too, is a piece of rope
-        exact = twist_angle(scene.rope.length, scene.rope.twisting_stiffness, 5e-3)
+        rope = scene.rope_part.parameters
+        exact = twist_angle(rope.length, rope.twisting_stiffness, 5e-3)
         roll = stepper.roll(count - 1)
         yield Case(engine, settings, {"links": count}).found("twist", roll, exact, "rad")
 
@@ -133,17 +136,17 @@ def holding(settings: Settings, engine: str) -> Iterator[Finding]:
     if engine == "mujoco":
         hand = Gripper(0, -1, 0.01, max_force=50.0, max_speed=0.15)
         alone = settings.of(replace(scene, obstacles=(), grippers=(hand,)), 1.0)
-        down = np.full(alone.rope_model.links, np.pi / 2)
+        down = np.full(alone.links, np.pi / 2)
         samples = Stepper(alone, bent_qpos(alone, np.array([0.0, 0.0, 2.0]), down)).steps(6.0)
         force = mean_force(samples, 4.0, 0, 2)
-        yield case.found("carrying_force", force, alone.rope.mass * GRAVITY, "N")
+        yield case.found("carrying_force", force, alone.rope_part.parameters.mass * GRAVITY, "N")
     if settings.converged:
         return  # where hands are sent is no matter of the solver
     strong = tuple(replace(hand, max_force=50.0) for hand in scene.grippers)
     scene = settings.of(replace(scene, obstacles=(), grippers=strong), scene.control_period)
-    ropes = [replace(scene.rope, mass=mass) for mass in HELD_MASSES]
+    ropes = [replace(scene.rope_part.parameters, mass=mass) for mass in HELD_MASSES]
     fields = {name: jnp.asarray(value) for name, value in with_parameters(scene, ropes).items()}
-    arch = np.linspace(1.0, -1.0, scene.rope_model.links)
+    arch = np.linspace(1.0, -1.0, scene.links)
     start = np.tile(bent_qpos(scene, np.array([-0.35, 0.0, 2.0]), arch), (len(ropes), 1))
     states = replace(state_of(scene, start), model_fields=fields)
     _, seen = engine_of(scene, engine).rollout(states, jnp.zeros((len(ropes), 100, 2, 3)))

@@ -28,7 +28,7 @@ class Stepper:
         for name, (position, quaternion) in (obstacles or {}).items():
             mocap = self.model.body(name).mocapid[0]
             self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = position, quaternion
-        self.home = self.data.qpos[self.layout.gripper_qpos].copy()
+        self.home = self.data.qpos[self.layout.driven].copy()
         self.data.ctrl[:] = self.home.reshape(-1)
         mujoco.mj_forward(self.model, self.data)
 
@@ -67,7 +67,7 @@ class Sample:
         shape = stepper.home.shape
         self.time = stepper.data.time
         self.force = stepper.data.actuator_force[: stepper.home.size].reshape(shape).copy()  # N, on the hands
-        self.hands = stepper.data.qpos[stepper.layout.gripper_qpos].copy()  # m
+        self.hands = stepper.data.qpos[stepper.layout.driven].copy()  # m
         self.points = stepper.data.xpos[stepper.layout.links].copy()  # m
 
 

@@ -49,13 +49,15 @@ def swing(settings: Settings, engine: str, links: int = LINKS, seconds: float = 
     above = 1 - (np.arange(links) + 0.5) / links  # heights of the links' centres, the free end at 0
     across = points_of(scene, states)[:, 0, :, 0]
     for mode, zero in enumerate(jn_zeros(0, MODES), start=1):
-        exact = hanging_chain_frequency(mode, scene.rope.length, GRAVITY)
+        exact = hanging_chain_frequency(mode, scene.rope_part.parameters.length, GRAVITY)
         own = fitted_frequency(times, across @ j0(zero * np.sqrt(above)), exact)
         yield case.found("swing_frequency", own, exact, "Hz", tags={"mode": mode})
     yield from gained(case, scene, states, (SMALL,), "swing_energy")
     if engine in COMPILES_ONCE:
         return
-    damped = replace(scene, rope=replace(scene.rope, bending_damping=SLIGHT), integrator="euler")
+    damped = replace(
+        scene, rope=replace(scene.rope_part.parameters, bending_damping=SLIGHT), integrator="euler"
+    )
     states = swung(damped, engine, (SMALL,), seconds)
     yield from gained(case, damped, states, (SMALL,), "damped_swing_energy")
     for step in STEPS:
@@ -67,7 +69,7 @@ def swing(settings: Settings, engine: str, links: int = LINKS, seconds: float = 
 
 def hanging(settings: Settings, links: int) -> Scene:
     """The rope of `dual_gripper`, without any damping, in a hand that stands still."""
-    rope = replace(make_task("dual_gripper").scene.rope, bending_damping=0.0)
+    rope = replace(make_task("dual_gripper").scene.rope_part.parameters, bending_damping=0.0)
     hand = still_hand(0)
     chain = RopeModel("capsule_chain", links)
     scene = Scene("swing", chain, rope, (hand,), floor=False, gravity=GRAVITY, integrator="rk4")
@@ -76,7 +78,7 @@ def hanging(settings: Settings, links: int) -> Scene:
 
 def swung(scene: Scene, engine: str, angles: tuple[float, ...], seconds: float) -> list[SimState]:
     """States of straight ropes let go at these angles (degrees) from the vertical."""
-    shapes = [np.full(scene.rope_model.links, np.pi / 2 - np.radians(angle)) for angle in angles]
+    shapes = [np.full(scene.links, np.pi / 2 - np.radians(angle)) for angle in angles]
     start = state_of(scene, np.stack([bent_qpos(scene, HELD, shape) for shape in shapes]))
     return list(record(engine_of(scene, engine), start, round(seconds / scene.control_period)))
 
@@ -85,7 +87,7 @@ def gained(
     case: Case, scene: Scene, states: list[SimState], angles: tuple[float, ...], name: str
 ) -> Iterator[Finding]:
     """The largest change of energy, with its sign; of a damped swing the largest gain."""
-    rope = scene.rope
+    rope = scene.rope_part.parameters
     rest = rope.mass * scene.gravity * (HELD[2] - rope.length / 2)
     for own, angle in zip(energy(scene, states).T, angles, strict=True):
         begun = own[round(SETTLED / scene.control_period)]

@@ -11,7 +11,7 @@ from mujoco.rollout import Rollout
 
 from doojax.simulation.build import build_model
 from doojax.simulation.engines.mujoco import write_state
-from doojax.simulation.layout import Layout, gripper_targets
+from doojax.simulation.layout import Layout
 from doojax.simulation.scenes import Scene
 from doojax.simulation.state import SimState
 
@@ -28,12 +28,9 @@ def bare_rollout(
     models = []
     for index in range(len(host.qpos)):
         models.append(copy.copy(model))
-        write_state(models[-1], jax.tree.map(lambda leaf, i=index: leaf[i], host))
+        write_state(models[-1], layout, jax.tree.map(lambda leaf, i=index: leaf[i], host))
     initial = np.concatenate([np.zeros((len(models), 1)), host.qpos, host.qvel], axis=1)
-    commands = np.asarray(actions, dtype=float)[..., : layout.gripper_qpos.shape[1]]
-    targets = gripper_targets(
-        scene, initial[:, 1 + layout.gripper_qpos], np.asarray(host.commanded), commands, xp=np
-    )
-    targets = targets.reshape(*targets.shape[:2], -1)
+    driven, commanded = initial[:, 1 + layout.driven], np.asarray(host.commanded)
+    controls, _ = scene.driver.drive(scene, driven, commanded, np.asarray(actions, dtype=float), xp=np)
     pool, data = Rollout(nthread=threads), [mujoco.MjData(model) for _ in range(threads)]
-    return lambda: pool.rollout(models, data, initial, targets, chunk_size=1)[0]
+    return lambda: pool.rollout(models, data, initial, controls, chunk_size=1)[0]

@@ -2,7 +2,7 @@
 
 import contextlib
 import io
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -16,15 +16,15 @@ from doojax.simulation.build import build_model
 from doojax.simulation.layout import (
     Layout,
     Observation,
-    gripper_targets,
     look_every,
-    read_observation,
+    observe,
+    read_frames,
     stretch,
     watch,
 )
 from doojax.simulation.scenes import Scene, obstacles_at
 from doojax.simulation.state import Fault, SimState, Start, find_faults
-from doojax.types import Obstacles, RopeState, Trajectory
+from doojax.types import Obstacles, Trajectory
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which is no fault
     from mujoco import mjx
@@ -58,23 +58,23 @@ class MjxSimulator(Jittable):
         """A start drawn from the task's distribution."""
         return self.start(key)
 
-    def step(self, state: SimState, action: Float[Array, "G 3"]) -> SimState:
-        """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
+    def step(self, state: SimState, action: Float[Array, "*action"]) -> SimState:
+        """One control period: move each hand by ``action`` [G, 3] (m, world axes), at bounded speed."""
         return self._step(state, action)[0]
 
     def _step(
-        self, state: SimState, action: Float[Array, "G 3"]
+        self, state: SimState, action: Float[Array, "*action"]
     ) -> tuple[SimState, Observation, Float[Array, "2"]]:
         """`step`, the K looks on the way, and `clearance` (m) before it and the least in it."""
-        hands = state.qpos[self.layout.gripper_qpos]
-        targets = gripper_targets(self.scene, hands, state.commanded, action[:, : hands.shape[-1]])
+        driven = state.qpos[self.layout.driven]
+        controls, commanded = self.scene.driver.drive(self.scene, driven, state.commanded, action)
         advance = MjxSimulator._advance
         if self.model.impl == mjx.Impl.WARP:
             from doojax.simulation.engines.warp import for_any_batch
 
-            qpos, qvel, looks, dropped = for_any_batch(self, advance)(state, targets)
+            qpos, qvel, looks, dropped = for_any_batch(self, advance, _with_room)(state, controls)
         else:
-            qpos, qvel, looks, dropped = advance(self, state, targets)
+            qpos, qvel, looks, dropped = advance(self, state, controls)
         alone = jax.tree.map(lambda leaf: leaf[None], (self.obstacles(state), looks))
         (near,), ((entered,),) = watch(self.scene, *alone, periods=1)
         faults = (
@@ -85,43 +85,46 @@ class MjxSimulator(Jittable):
         after = eqx.tree_at(
             lambda s: (s.qpos, s.qvel, s.commanded, s.faults),
             state,
-            (qpos, qvel, targets[-1].astype(state.commanded.dtype), faults.astype(jnp.int32)),
+            (qpos, qvel, commanded.astype(state.commanded.dtype), faults.astype(jnp.int32)),
         )
         return after, looks, near
 
     def _advance(
-        self, state: SimState, targets: Float[Array, "S G D"]
+        self, state: SimState, controls: Float[Array, "S U"]
     ) -> tuple[Array, Array, Observation, Bool[Array, ""]]:
-        """One physics step per target: positions, velocities, looks on the way, were contacts dropped."""
+        """One physics step for each control: positions, velocities, looks on the way, contacts dropped?"""
         model, data = self._load(state)
 
-        def substep(carry, target):
+        def substep(carry, control):
             before, dropped = carry
-            data = mjx.step(model, before.replace(ctrl=target.reshape(-1)))
+            data = mjx.step(model, before.replace(ctrl=control))
             # with 64-bit floats enabled, MJX also widens the indices of tendons
             data = jax.tree.map(lambda new, old: new.astype(old.dtype), data, before)
             return (data, dropped | self._contacts_dropped(data)), None
 
-        def look(carry, targets):
-            (data, dropped), _ = jax.lax.scan(substep, carry, targets)
-            return (data, dropped), data.qpos
+        def look(carry, controls):
+            (data, dropped), _ = jax.lax.scan(substep, carry, controls)
+            return (data, dropped), (data.qpos, data.qvel)
 
-        every = look_every(self.scene)
-        chunks = targets.reshape(-1, every, *targets.shape[1:])
-        (data, dropped), qpos = jax.lax.scan(look, (data, jnp.array(False)), chunks)
-        qpos = jnp.concatenate([state.qpos[None], qpos])
-        looks = jax.vmap(lambda q: self.observation(eqx.tree_at(lambda s: s.qpos, state, q)))(qpos)
+        chunks = controls.reshape(-1, look_every(self.scene), controls.shape[-1])
+        (data, dropped), way = jax.lax.scan(look, (data, jnp.array(False)), chunks)
+        way = jax.tree.map(lambda now, on: jnp.concatenate([now[None], on]), (state.qpos, state.qvel), way)
+        at = jax.vmap(lambda qpos, qvel: eqx.tree_at(lambda s: (s.qpos, s.qvel), state, (qpos, qvel)))(*way)
+        looks = jax.vmap(self.observation)(at)
         return data.qpos, data.qvel, looks, dropped
 
-    def observe(self, state: SimState) -> RopeState:
-        """Link centres and gripper positions, world frame, metres."""
-        return self.observation(state).rope
+    def observe(self, state: SimState) -> Any:
+        """What learners and planners see, such as a `doojax.types.RopeState`."""
+        return self.observation(state).state
 
     def observation(self, state: SimState) -> Observation:
-        """What `observe` gives, and the directions of the links and the points held."""
+        """What `observe` gives, and a rope's shape."""
         model, data = self._load(state)
         data = mjx.kinematics(model, data)
-        return read_observation(self.layout, model.geom_size, data.xpos, data.xmat, data.site_xpos)
+        layout = self.layout
+        vectors = read_frames(self.scene, layout, data.xpos, data.xmat, data.site_xpos)
+        coordinates = jnp.concatenate([state.qpos, state.qvel])[layout.coordinates]
+        return observe(self.scene, layout, vectors, coordinates, model.geom_size[layout.sizes, :2])
 
     @eqx.filter_jit
     def observations(self, states: SimState) -> Observation:
@@ -132,7 +135,7 @@ class MjxSimulator(Jittable):
         """The primitives of the obstacles where they are."""
         return obstacles_at(self.scene, state.obstacle_position, state.obstacle_quaternion)
 
-    def rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+    def rollout(self, states: SimState, actions: Float[Array, "B T *action"]) -> tuple[SimState, Trajectory]:
         """T control periods of B elements: the bulk path. Returns the last states and all that was seen.
 
         Outside of jit a CPU simulates large batches in parts, with all its processors.
@@ -142,10 +145,12 @@ class MjxSimulator(Jittable):
         return self._rollout(states, actions)
 
     @eqx.filter_jit
-    def _rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+    def _rollout(self, states: SimState, actions: Float[Array, "B T *action"]) -> tuple[SimState, Trajectory]:
         return jax.vmap(self._rollout_one)(states, actions)
 
-    def _rollout_one(self, state: SimState, actions: Float[Array, "T G 3"]) -> tuple[SimState, Trajectory]:
+    def _rollout_one(
+        self, state: SimState, actions: Float[Array, "T *action"]
+    ) -> tuple[SimState, Trajectory]:
         def period(state, action):
             after, looks, near = self._step(state, action)
             ends = jax.tree.map(lambda leaf: leaf[jnp.array([0, -1])], looks)
@@ -155,7 +160,7 @@ class MjxSimulator(Jittable):
         # of each period the state after it, and of the first the one before
         seen, near = jax.tree.map(lambda leaf: jnp.concatenate([leaf[0, :1], leaf[:, 1]]), (ends, near))
         trajectory = Trajectory(
-            states=seen.rope,
+            states=seen.state,
             actions=actions,
             faults=faults,
             clearance=near,
@@ -170,13 +175,9 @@ class MjxSimulator(Jittable):
             qvel=state.qvel,
             mocap_pos=state.obstacle_position,
             mocap_quat=state.obstacle_quaternion,
-            eq_active=self.data.eq_active.at[self._hold_rows()].set(state.holding),
+            eq_active=self.data.eq_active.at[self.layout.holds].set(state.holding),
         )
         return model, data
-
-    def _hold_rows(self):
-        """The holds are the last equalities of a model."""
-        return slice(self.data.eq_active.shape[0] - len(self.scene.grippers), None)
 
     def _contacts_dropped(self, data: mjx.Data) -> Bool[Array, ""]:
         if self.model.impl == mjx.Impl.WARP:
@@ -187,3 +188,10 @@ class MjxSimulator(Jittable):
         if contact.dist.shape[0] < self.scene.solver.max_contact_points:
             return jnp.array(False)
         return jnp.all(contact.dist < 0)
+
+
+def _with_room(simulator: MjxSimulator, batch: int) -> MjxSimulator:
+    """With a fresh state that has room for the contacts of ``batch`` elements."""
+    from doojax.simulation.engines.warp import warp_data
+
+    return eqx.tree_at(lambda s: s.data, simulator, warp_data(simulator.scene, batch))

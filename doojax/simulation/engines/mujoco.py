@@ -5,6 +5,7 @@ import copy
 import threading
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,18 +17,10 @@ from mujoco.rollout import Rollout
 
 from doojax.parts import processors
 from doojax.simulation.build import build_model
-from doojax.simulation.layout import (
-    Layout,
-    Observation,
-    gripper_targets,
-    look_every,
-    read_sensors,
-    stretch,
-    watch,
-)
+from doojax.simulation.layout import Layout, Observation, look_every, observe, stretch, watch
 from doojax.simulation.scenes import Scene, obstacles_at
 from doojax.simulation.state import Fault, SimState, Start, find_faults
-from doojax.types import Obstacles, RopeState, Trajectory
+from doojax.types import Obstacles, Trajectory
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 BATCH = 64  # elements advanced together: their states of one control period stay in cache
@@ -53,18 +46,18 @@ class MujocoSimulator:
         """A start drawn from the task's distribution."""
         return self._start(key)
 
-    def step(self, state: SimState, action: Float[Array, "G 3"]) -> SimState:
-        """One control period: move each gripper by ``action`` (m, world axes) at bounded speed and force."""
+    def step(self, state: SimState, action: Float[Array, "*action"]) -> SimState:
+        """One control period: move each hand by ``action`` [G, 3] (m, world axes), at bounded speed."""
         batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], state)
         last, _ = self.rollout(batch, jnp.asarray(action)[None, None])
         return jax.tree.map(lambda leaf: leaf[0], last)
 
-    def observe(self, state: SimState) -> RopeState:
-        """Link centres and gripper positions, world frame, metres."""
-        return self.observation(state).rope
+    def observe(self, state: SimState) -> Any:
+        """What learners and planners see, such as a `doojax.types.RopeState`."""
+        return self.observation(state).state
 
     def observation(self, state: SimState) -> Observation:
-        """What `observe` gives, and the directions of the links and the points held."""
+        """What `observe` gives, and a rope's shape."""
         batch = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], state)
         return jax.tree.map(lambda leaf: leaf[0], self.observations(batch))
 
@@ -74,14 +67,16 @@ class MujocoSimulator:
         for index in range(states.qpos.shape[0]):
             model = self._load(0, _element(host, index))
             looks.append(self._look(model, host.qpos[index]))
-            sizes.append(model.geom_size[self.layout.link_geom, :2].copy())
-        return _seen(self.scene, _single(np.stack(sizes)), _single(np.stack(looks)))
+            sizes.append(self._sizes(model))
+        coordinates = np.concatenate([host.qpos, host.qvel], axis=1)[:, self.layout.coordinates]
+        looked = _single(np.stack(looks)).reshape(len(looks), -1, 3)
+        return _seen(self.scene, self.layout, looked, coordinates, _single(np.stack(sizes)))
 
     def obstacles(self, state: SimState) -> Obstacles:
         """The primitives of the obstacles where they are."""
         return obstacles_at(self.scene, state.obstacle_position, state.obstacle_quaternion)
 
-    def rollout(self, states: SimState, actions: Float[Array, "B T G 3"]) -> tuple[SimState, Trajectory]:
+    def rollout(self, states: SimState, actions: Float[Array, "B T *action"]) -> tuple[SimState, Trajectory]:
         """T control periods of B elements: the bulk path. Returns the last states and all that was seen.
 
         Two periods in one call equal two calls with one, bit for bit: a trajectory can be replayed from its
@@ -94,31 +89,38 @@ class MujocoSimulator:
         return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
 
     def _rollout_part(
-        self, states: SimState, actions: Float[np.ndarray, "B T G 3"]
+        self, states: SimState, actions: Float[np.ndarray, "B T *action"]
     ) -> tuple[SimState, Trajectory]:
         batch, periods = actions.shape[:2]
         models = [self._load(i, _element(states, i)) for i in range(batch)]
         now = np.zeros((batch, mujoco.mj_stateSize(self._model, STATE)))
         now[:, 1:] = np.concatenate([states.qpos, states.qvel], axis=1)
-        commanded, looks, ends = states.commanded, [], []
-        commands = actions[..., : commanded.shape[-1]].astype(np.float64)
-        nq = self._model.nq
+        commanded, looks, ways, ends = states.commanded, [], [], []
+        commands, nq, seen_of = actions.astype(np.float64), self._model.nq, 1 + self.layout.coordinates
         for period in range(periods):
-            hands = now[:, 1 + self.layout.gripper_qpos]
-            targets = gripper_targets(self.scene, hands, commanded, commands[:, period], xp=np)
-            commanded = targets[:, -1].astype(np.float32)
+            driven = now[:, 1 + self.layout.driven]
+            controls, commanded = self.scene.driver.drive(
+                self.scene, driven, commanded, commands[:, period], xp=np
+            )
+            commanded = commanded.astype(np.float32)
+            begin = now[:, None, seen_of]
             with _quiet():
                 # one by one, because contacts make some elements several times as dear
-                steps, sensed = self._pool.rollout(
-                    models, self._pool_data, now, targets.reshape(*targets.shape[:2], -1), chunk_size=1
-                )
+                steps, sensed = self._pool.rollout(models, self._pool_data, now, controls, chunk_size=1)
             now[:, 1:] = _single(steps[:, -1, 1:])  # as SimState holds it: see rollout
             looks.append(sensed[:, self._looks])
+            # sensors are those of a step's beginning, states those of its end
+            on_the_way = steps[:, np.array(self._looks)[1:] - 1][..., seen_of]
+            ways.append(np.concatenate([begin, on_the_way], axis=1))
             ends.append(now[:, 1:].astype(np.float32))
         final = [self._look(model, own[1 : 1 + nq]) for model, own in zip(models, now, strict=True)]
-        sizes = _single(np.stack([model.geom_size[self.layout.link_geom, :2] for model in models]))
+        sizes = _single(np.stack([self._sizes(model) for model in models]))
         looked = _single(np.concatenate([*looks, np.stack(final)[:, None]], axis=1))
-        seen, measured, entered = _measured(self.scene, states, sizes, looked, periods)
+        looked = looked.reshape(*looked.shape[:2], -1, 3)
+        coordinates = _single(np.concatenate([*ways, now[:, None, seen_of]], axis=1))
+        seen, measured, entered = _measured(
+            self.scene, self.layout, states, sizes, looked, coordinates, periods
+        )
         qpos, qvel = np.split(np.stack(ends, 1), [nq], axis=-1)
         faults = _faults(qpos, qvel, entered)
         last = eqx.tree_at(
@@ -132,8 +134,11 @@ class MujocoSimulator:
         """A model of batch element ``index``, with what varies by element written into it."""
         # another rope gets a model of its own: what is written into the others, every call writes anew
         model = copy.copy(self._model) if state.model_fields else self._models[index]
-        write_state(model, state)
+        write_state(model, self.layout, state)
         return model
+
+    def _sizes(self, model: mujoco.MjModel) -> np.ndarray:
+        return model.geom_size[self.layout.sizes, :2]
 
     def _look(self, model: mujoco.MjModel, qpos: Float[np.ndarray, "nq"]) -> np.ndarray:
         """The values of the sensors at these positions."""
@@ -158,27 +163,33 @@ def _faults(qpos: Array, qvel: Array, entered: Array) -> Array:
     return find_faults(qpos, qvel) + jnp.where(entered, int(Fault.PASSED_THROUGH), 0).astype(jnp.int32)
 
 
-@partial(jax.jit, static_argnums=0)
-def _seen(scene: Scene, sizes: Array, looks: Array) -> Observation:
-    return read_sensors(scene, sizes[..., 1], sizes[..., 0], looks)
+@partial(jax.jit, static_argnums=(0, 1))
+def _seen(scene: Scene, layout: Layout, looks: Array, coordinates: Array, sizes: Array) -> Observation:
+    return observe(scene, layout, looks, coordinates, sizes)
 
 
-@partial(jax.jit, static_argnums=(0, 4))
+@partial(jax.jit, static_argnums=(0, 1, 6))
 def _measured(
-    scene: Scene, states: SimState, sizes: Array, looks: Array, periods: int
-) -> tuple[RopeState, tuple[Array, Array], Array]:
-    """Of B elements: ropes and (clearance, stretch) at T + 1 times; did they enter an obstacle, T times?"""
+    scene: Scene,
+    layout: Layout,
+    states: SimState,
+    sizes: Array,
+    looks: Array,
+    coordinates: Array,
+    periods: int,
+) -> tuple[Any, tuple[Array, Array], Array]:
+    """Of B elements: states and (clearance, stretch) at T + 1 times; did they enter an obstacle, T times?"""
     every = (looks.shape[1] - 1) // periods
-    radius, half_length = (jnp.broadcast_to(size[:, None], looks.shape[:2]) for size in sizes.T)
-    seen = read_sensors(scene, half_length, radius, looks)
+    sizes = jnp.broadcast_to(sizes[:, None], (*looks.shape[:2], *sizes.shape[1:]))
+    seen = observe(scene, layout, looks, coordinates, sizes)
     obstacles = jax.vmap(partial(obstacles_at, scene))(states.obstacle_position, states.obstacle_quaternion)
     near, entered = watch(scene, obstacles, seen, periods)
     ends = jax.tree.map(lambda leaf: leaf[:, ::every], seen)
     stretched = jax.vmap(lambda holding, own: jax.vmap(lambda o: stretch(scene, holding, o))(own))
-    return ends.rope, (near, stretched(states.holding, ends)), entered
+    return ends.state, (near, stretched(states.holding, ends)), entered
 
 
-def write_state(model: mujoco.MjModel, state: SimState) -> None:
+def write_state(model: mujoco.MjModel, layout: Layout, state: SimState) -> None:
     """Write into ``model`` what varies by element, besides positions and velocities.
 
     `mujoco.rollout` reads the poses of mocap bodies and the active equalities from the model.
@@ -188,7 +199,7 @@ def write_state(model: mujoco.MjModel, state: SimState) -> None:
         getattr(model, name)[:] = values
     model.body_pos[mocap] = state.obstacle_position
     model.body_quat[mocap] = state.obstacle_quaternion
-    model.eq_active0[model.neq - len(state.holding) :] = state.holding
+    model.eq_active0[layout.holds] = state.holding
 
 
 _quiet_lock, _quiet_depth = threading.Lock(), 0

@@ -5,7 +5,7 @@ are, which a pure function of one element does not know until it is vmapped. `fo
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,9 +18,6 @@ from mujoco import mjx
 from doojax.simulation.build import build_model
 from doojax.simulation.scenes import Scene
 from doojax.types import ShapeKind
-
-if TYPE_CHECKING:
-    from doojax.simulation.engines.mjx import MjxSimulator
 
 ROWS = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,
@@ -69,10 +66,13 @@ def contacts_dropped(data: mjx.Data) -> Bool[Array, ""]:
     return (data._impl.overflow & DROPPED).any()
 
 
-def for_any_batch(simulator: "MjxSimulator", method: Callable[..., Any]) -> Callable[..., Any]:
+def for_any_batch[S: eqx.Module](
+    simulator: S, method: Callable[..., Any], with_room: Callable[[S, int], S]
+) -> Callable[..., Any]:
     """``method(simulator, ...)`` of one element, that under `jax.vmap` gets room for the whole batch.
 
     The room is for the innermost vmap; an outer one has to make do with it and reports what does not fit.
+    ``with_room(simulator, batch)`` is the simulator that has it.
     """
     arrays, static = eqx.partition(simulator, eqx.is_array)
 
@@ -82,8 +82,7 @@ def for_any_batch(simulator: "MjxSimulator", method: Callable[..., Any]) -> Call
 
     @one.def_vmap
     def many(batch, is_batched, arrays, *arguments):
-        own = eqx.combine(arrays, static)
-        own = eqx.tree_at(lambda s: s.data, own, warp_data(own.scene, batch))
+        own = with_room(eqx.combine(arrays, static), batch)
         axes = jax.tree.map(lambda batched: 0 if batched else None, tuple(is_batched[1:]))
         out = jax.vmap(lambda *each: method(own, *each), axes)(*arguments)
         return out, jax.tree.map(lambda _: True, out)
