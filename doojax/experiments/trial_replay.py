@@ -36,7 +36,7 @@ def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N
         if name.startswith(MODEL)
     }
     states = SimState(**stored, faults=jnp.zeros(1, dtype=jnp.int32), model_fields=fields)
-    points = [np.asarray(simulator.observations(states).rope.points[0])]
+    points = [np.asarray(simulator.observations(states).state.points[0])]
     for action in record.replay["actions"]:
         states, seen = simulator.rollout(states, jnp.asarray(action)[None, None])
         points.append(np.asarray(seen.states.points[0, -1]))

@@ -32,7 +32,7 @@ def hang(scene: Scene, periods: int):
 def test_a_hanging_chain_is_a_catenary():
     scene = default_scene()
     observed, seen = hang(scene, periods=10)
-    points, ends = np.asarray(observed.rope.points[0]), np.asarray(observed.rope.grippers[0])
+    points, ends = np.asarray(observed.state.points[0]), np.asarray(observed.state.grippers[0])
     curve = np.asarray(catenary(jnp.asarray(ends[0]), jnp.asarray(ends[1]), jnp.array(0.8), 51))[1::2]
     rms = np.sqrt(((points - curve) ** 2).sum(-1).mean())
     assert rms < 0.005 * 0.8
