@@ -104,7 +104,7 @@ class SolverSettings:
     iterations: int = 50
     line_search_iterations: int = 50
     tolerance: float = 1e-8  # of an iteration's improvement, below which it stops; warp: at least 1e-6
-    cone: Literal["elliptic", "pyramidal"] = "elliptic"  # pyramids: up to 29 % less friction, derivatives
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"  # pyramids: up to 29 % less friction, quicker
     contact_time: float = 0.01  # s, time constant of contacts and holds; at least two time steps
     max_contact_points: int = 20  # kept by MJX, most penetrating first; MuJoCo C keeps all
 

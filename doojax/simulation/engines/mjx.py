@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from doojax.modules import Jittable
 from doojax.parts import in_parts, worth_parts
 from doojax.simulation.build import build_model
+from doojax.simulation.engines.implicit import step
 from doojax.simulation.layout import (
     Layout,
     Observation,
@@ -97,7 +98,7 @@ class MjxSimulator(Jittable):
 
         def substep(carry, control):
             before, dropped = carry
-            data = mjx.step(model, before.replace(ctrl=control))
+            data = step(model, before.replace(ctrl=control))
             # with 64-bit floats enabled, MJX also widens the indices of tendons
             data = jax.tree.map(lambda new, old: new.astype(old.dtype), data, before)
             return (data, dropped | self._contacts_dropped(data)), None
