@@ -31,7 +31,7 @@ from doojax.datasets.writer import DatasetWriter
 from doojax.files import alone_in, file_digest
 from doojax.geometry.motion import RigidMotion
 from doojax.geometry.sdf import signed_distance
-from doojax.keys import numbered, stream
+from doojax.keys import check_seed, numbered, stream
 from doojax.simulation.state import SimState
 from doojax.tasks.base import Task
 from doojax.tasks.ropes import task_of
@@ -98,6 +98,7 @@ def augment_dataset(
     Raises:
         ValueError: for data that are unfinished or of no rope, or counts out of range.
     """
+    check_seed(seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # said below
         source = Dataset.open(data)

@@ -18,7 +18,7 @@ from doojax.datasets.manifest import Field, Manifest
 from doojax.datasets.progress import progress_bar
 from doojax.datasets.writer import DatasetWriter
 from doojax.files import alone_in
-from doojax.keys import numbered, stream
+from doojax.keys import check_seed, numbered, stream
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks import make_task
@@ -60,6 +60,7 @@ def collect(
     Raises:
         ValueError: for an unknown task or engine, counts too small, or a folder that holds other data.
     """
+    check_seed(seed)
     the_task = with_rope(make_task(task), rope)
     check_phase(phase)
     states = the_task.trajectory_states[phase] if states is None else states

@@ -31,6 +31,7 @@ from doojax.experiments.scenes import SceneSet, load_scenes, save_scenes, scene_
 from doojax.experiments.seen import Seen, check_unseen, warning_of
 from doojax.experiments.trial import CRASHED, Method, Trials, TrialSettings, crashed, run_trials
 from doojax.files import alone_in, claim, file_digest
+from doojax.keys import check_seed
 from doojax.planning import RrtSettings, require_reachable
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Simulator
@@ -94,6 +95,7 @@ def evaluate(
             training, or a method all of whose trials crashed.
         BlockingIOError: another process evaluates into the same folder.
     """
+    check_seed(seed)
     command = command_line(evaluate, locals())
     make_task(task)  # refuses unknown names
     if not methods:

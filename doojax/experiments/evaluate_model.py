@@ -17,7 +17,7 @@ from doojax.experiments.provenance import digests
 from doojax.experiments.recovery_trials import recovery_rows
 from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.experiments.statistics import bootstrap
-from doojax.keys import generator
+from doojax.keys import check_seed, generator
 from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.data import Trajectories, load_split, open_dataset
 from doojax.learning.labels import Examples, LabelConfig, label
@@ -60,6 +60,7 @@ def evaluate_model(
     Raises:
         ValueError: for models or data of different tasks, or a test split with one class only.
     """
+    check_seed(seed)
     command = command_line(evaluate_model, locals())
     out = out or publish or MEASURED
     dataset = open_dataset(data)

@@ -17,7 +17,7 @@ from doojax.experiments.records import save_record
 from doojax.experiments.scenes import FOLDER, load_scenes
 from doojax.experiments.seen import check_unseen, warning_of
 from doojax.experiments.trial import Trials, TrialSettings, run_trials
-from doojax.keys import stream
+from doojax.keys import check_seed, stream
 from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem, gripper_goal, point_goal
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import SimState, Simulator
@@ -78,6 +78,7 @@ def plan(
         ValueError: for names or indices that do not exist, a goal out of reach, a scene in collision at the
             start, models that are missing or of another task, or a scene that a model saw in training.
     """
+    check_seed(seed)
     command = command_line(plan, locals())
     the_task = make_task(task)
     if out is not None and out.suffix != ".npz":

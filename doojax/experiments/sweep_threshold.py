@@ -16,6 +16,7 @@ from doojax.experiments.provenance import digests, note_command
 from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.experiments.train import training_progress
 from doojax.files import alone_in
+from doojax.keys import check_seed
 from doojax.learning.presets import PresetName
 from doojax.learning.sweep import Measured, sweep_thresholds
 
@@ -61,6 +62,7 @@ def sweep_threshold(
         ValueError: for data of another task or phase, or a threshold for which a split has too few examples
             of a class.
     """
+    check_seed(seed)
     command = command_line(sweep_threshold, locals())
     with alone_in(out), training_progress(Console(stderr=True), "sweep") as report:
         task, own, measured = sweep_thresholds(

@@ -13,6 +13,7 @@ from doojax.datasets.progress import progress_bar
 from doojax.experiments.curves import draw_curves
 from doojax.experiments.provenance import digests, note_command
 from doojax.files import alone_in
+from doojax.keys import check_seed
 from doojax.learning import train as learning
 from doojax.learning.fit import Report
 from doojax.learning.presets import PresetName
@@ -55,6 +56,7 @@ def train(
         ValueError: for data of another task or phase, too few of them or of one class, a model that is
             missing or does not fit, a folder that holds something else, or a loss that is not finite.
     """
+    check_seed(seed)
     if threshold is not None and "classifier" not in what:
         raise ValueError(f"threshold is {threshold}, but {what} has none: it is a classifier's")
     if len(data) != (2 if what == "full_dynamics" else 1):

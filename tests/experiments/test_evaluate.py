@@ -159,6 +159,17 @@ def test_a_trial_that_crashes_is_recorded_and_takes_no_other_along():
         assert ran[index].plans[0].points[0] == pytest.approx(healthy[index].plans[0].points[0])
 
 
+def test_a_method_all_of_whose_trials_crash_is_an_error(run, tmp_path, monkeypatch):
+    def fail(*arguments, **options):
+        raise RuntimeError("no memory")
+
+    monkeypatch.setattr("doojax.experiments.evaluate.run_trials", fail)
+    message = f"2 of 2 trials of {METHOD} crashed: RuntimeError: no memory"
+    with pytest.raises(ValueError, match=message):  # status 2, from the command line
+        run(tmp_path / "a", trials=2)
+    assert "no memory" in load_record(record_file(tmp_path / "a", METHOD, 1)).about["traceback"]
+
+
 def test_what_does_not_fit_is_refused(run, whole, scenes, tmp_path):
     with pytest.raises(ValueError, match="unknown method 'clasifier', expected one of classifier, voxel_cl"):
         run(tmp_path / "a", methods=("clasifier",))

@@ -1,5 +1,6 @@
 """From data of the toy task to models that judge it: the whole chain, small."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+from doojax import files
 from doojax.commands import parsed
 from doojax.datasets.collect import collect
 from doojax.experiments.evaluate_model import evaluate_model
@@ -14,6 +16,7 @@ from doojax.experiments.provenance import digest, noted_commands
 from doojax.experiments.reports import read_summary
 from doojax.experiments.train import train
 from doojax.learning.checkpoints import load_model
+from doojax.learning.runs import RunDirectory
 from doojax.learning.train import train_dynamics
 
 STATES = 6
@@ -44,6 +47,27 @@ def runs(data, tmp_path_factory):
 
 def measured(folder):
     return {row.metric: row.value for row in read_summary(folder / "summary.json").rows}
+
+
+def test_a_full_disk_is_said_and_the_run_goes_on_when_there_is_room(data, tmp_path, monkeypatch):
+    flush, full = files.flush, []
+
+    def flush_unless_full(path):
+        if ".eqx" in path.name:
+            full.append(path)
+        if len(full) > 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        flush(path)
+
+    def run():
+        train("dynamics", data=(data / "unconstrained",), out=tmp_path / "run", epochs=3)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "flush", flush_unless_full)
+        with pytest.raises(OSError, match="no room left to write to"):
+            run()
+    run()
+    assert [line["epoch"] for line in RunDirectory(tmp_path / "run").metrics] == [1, 2, 3]
 
 
 def test_a_run_holds_config_environment_metrics_curves_and_model(runs):
