@@ -1,10 +1,13 @@
-"""Robots as arrays: where their links and tools are, how joints move them, distances. No simulator."""
+"""Robots as arrays: where their links are, joints that bring tools to places, distances. No simulator."""
 
 from doojax.robots.clearance import capsule_ends as capsule_ends
 from doojax.robots.clearance import clearance as clearance
 from doojax.robots.clearance import floor_distances as floor_distances
 from doojax.robots.clearance import obstacle_distances as obstacle_distances
 from doojax.robots.clearance import self_distance as self_distance
+from doojax.robots.inverse import IkSettings as IkSettings
+from doojax.robots.inverse import IkSolutions as IkSolutions
+from doojax.robots.inverse import inverse_kinematics as inverse_kinematics
 from doojax.robots.kinematics import link_poses as link_poses
 from doojax.robots.kinematics import tool_jacobians as tool_jacobians
 from doojax.robots.kinematics import tool_poses as tool_poses
