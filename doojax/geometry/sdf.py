@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.lax import stop_gradient
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from doojax.geometry.frames import quaternion_to_matrix, safe_norm, same_rank
 from doojax.types import Obstacles, ShapeKind
@@ -27,6 +27,7 @@ FAR = 1000.0
 _TINY = 1e-18  # m: what is shorter counts as so long where it divides
 _VECTOR = 8  # numbers (float32, AVX2) that a CPU computes at once
 _SHRINK = 0.55  # of the bracket kept by each step of the search along a segment
+_HALVINGS = 7  # of a segment that is only asked whether it is far
 _SEARCH_STEPS = 23  # which leave _SHRINK**23 = 1.1e-6 of the segment
 
 
@@ -93,6 +94,37 @@ def segment_signed_distance(
         return jnp.full(start.shape[:-1], FAR, start.dtype)
     fraction = _closest_fraction(*stop_gradient((obstacles, start, end)))
     return _least_distance(obstacles, start + fraction[..., None] * (end - start))
+
+
+def segment_is_far(
+    obstacles: Obstacles, start: Float[Array, "*p 3"], end: Float[Array, "*p 3"], distance: Float[Array, "*p"]
+) -> Bool[Array, "*p"]:
+    """Whether a segment is farther than ``distance`` (m) from all obstacles: True only where that is certain.
+
+    In a third of the time of `segment_signed_distance`, for planners that ask often. The distance is convex
+    along the segment, so its slope says on which side of a point it is least; what is left of the segment
+    after seven halvings is 1/128 of it, and False may be said where half of that is missing.
+
+    Arguments and errors as for `segment_signed_distance`.
+    """
+    _require_one_set(obstacles)
+    numbers = _numbers(obstacles)
+    begin = [start[..., axis, None] for axis in range(3)]
+    step = [(end - start)[..., axis, None] for axis in range(3)]
+
+    def at(fraction: Array) -> tuple[Array, Array]:
+        point = (one + fraction * along for one, along in zip(begin, step, strict=True))
+        value, *slopes = _distance_and_gradient(numbers, *point)
+        return value, sum(slope * along for slope, along in zip(slopes, step, strict=True))
+
+    def halve(number: Array, middle: Array) -> Array:
+        _, slope = at(middle)
+        return middle - jnp.sign(slope) * 0.5 ** (number + 2)
+
+    zero = jnp.zeros((*start.shape[:-1], obstacles.kind.shape[0]), start.dtype)
+    middle = jax.lax.fori_loop(0, _HALVINGS, halve, zero + 0.5)
+    nearest = at(middle)[0] - 0.5 ** (_HALVINGS + 1) * safe_norm(*step)
+    return jnp.all(nearest > distance[..., None], axis=-1)
 
 
 def _closest_fraction(

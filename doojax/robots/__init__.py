@@ -3,6 +3,7 @@
 from doojax.robots.clearance import capsule_ends as capsule_ends
 from doojax.robots.clearance import clearance as clearance
 from doojax.robots.clearance import floor_distances as floor_distances
+from doojax.robots.clearance import is_free as is_free
 from doojax.robots.clearance import obstacle_distances as obstacle_distances
 from doojax.robots.clearance import self_distance as self_distance
 from doojax.robots.inverse import IkSettings as IkSettings
@@ -11,6 +12,7 @@ from doojax.robots.inverse import inverse_kinematics as inverse_kinematics
 from doojax.robots.kinematics import link_poses as link_poses
 from doojax.robots.kinematics import tool_jacobians as tool_jacobians
 from doojax.robots.kinematics import tool_poses as tool_poses
+from doojax.robots.many import solve_poses as solve_poses
 from doojax.robots.robot import DUAL_ARM as DUAL_ARM
 from doojax.robots.robot import Robot as Robot
 from doojax.robots.robot import dual_arm as dual_arm

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.frames import rotate
-from doojax.geometry.sdf import FAR, segment_signed_distance
+from doojax.geometry.sdf import FAR, segment_is_far, segment_signed_distance
 from doojax.geometry.segments import segment_distance
 from doojax.robots.kinematics import link_poses
 from doojax.robots.robot import Robot
@@ -57,6 +57,31 @@ def clearance(
     """Least distance of the robot to obstacles, to itself and, if there is one, to the floor, metres."""
     least = jnp.minimum(obstacle_distances(robot, joints, obstacles).min(), self_distance(robot, joints))
     return least if floor is None else jnp.minimum(least, floor_distances(robot, joints, floor).min())
+
+
+def is_free(
+    robot: Robot,
+    joints: Float[Array, "J"],
+    obstacles: Obstacles,
+    margin: float = 0.0,
+    floor: float | None = None,
+) -> Bool[Array, ""]:
+    """Whether `clearance` is more than ``margin`` (m), in less time; True only where that is certain.
+
+    False may be said where up to 1/256 of a capsule's length is missing.
+    """
+    start, end = capsule_ends(robot, joints)
+    least = robot.capsule_radius + margin
+    free = segment_is_far(obstacles, start, end, least).all()
+    carried = np.flatnonzero([robot.parents[link] >= 0 for link in robot.capsule_links])
+    free &= segment_is_far(robot.base, start[carried], end[carried], least[carried]).all()
+    if robot.pairs:
+        first, second = np.array(robot.pairs).T
+        apart = segment_distance(start[first], end[first], start[second], end[second])
+        free &= (apart > least[first] + robot.capsule_radius[second]).all()
+    if floor is not None:
+        free &= (floor_distances(robot, joints, floor) > margin).all()
+    return free
 
 
 def capsule_distances(

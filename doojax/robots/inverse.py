@@ -6,10 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float, Key
 
 from doojax.parts import traced
-from doojax.robots.kinematics import Numbers, column, frames, multiply, tool_frame
+from doojax.robots.kinematics import Numbers, columns, frames, last, multiply, tool_frames
 from doojax.robots.robot import Robot
 
 MOST = {"starts": 100_000, "iterations": 10_000}
@@ -47,6 +48,18 @@ class IkSolutions(eqx.Module):
     travel: Float[Array, "*b N"]  # from the present joints, the root of the sum of squares
     solved: Bool[Array, "*b N"]  # within the tolerances. An unreachable place is one that none solves
 
+    def check(self) -> None:
+        """Raise ValueError, with how near the tool comes, if a place is not reached; outside of jit."""
+        reached = np.asarray(self.solved[..., 0]).ravel()
+        if reached.all():
+            return
+        off, angle = (np.asarray(values[..., 0]).ravel()[~reached] for values in (self.error, self.angle))
+        raise ValueError(
+            f"{(~reached).sum()} of {reached.size} poses are not reached: of the first the tool stays "
+            f"{off[0]:.3g} m and {angle[0]:.3g} rad off. Ask for a place nearer to the robot, for no "
+            "orientation, or try more starts"
+        )
+
 
 def inverse_kinematics(
     robot: Robot,
@@ -81,24 +94,21 @@ def inverse_kinematics(
     low, high = robot.low[chain], robot.high[chain]
     present = jnp.clip(present, robot.low, robot.high)
     begin = present[chain]
-    least, most = (jnp.clip(limit, begin - jnp.pi, begin + jnp.pi) for limit in (low, high))
-    drawn = jax.random.uniform(key, (settings.starts, len(chain)), present.dtype, least, most)
-    starts = drawn.at[0].set(begin)
+    starts = starts_around(robot, chain, present, key, settings.starts)
 
     def search(start: Float[Array, "C"]) -> tuple[Array, Array, Array]:
-        def improve(_: Array, joints: Float[Array, "C"]) -> Float[Array, "C"]:
-            error, columns = residual(joints)
-            square = sum((part * part for part in error), jnp.asarray(settings.damping, joints.dtype))
-            step = _damped_step(columns, error, square)
-            return jnp.clip(joints + jnp.clip(step, -settings.longest, settings.longest), low, high)
-
-        def residual(joints: Float[Array, "C"]) -> tuple[Numbers, list[Numbers]]:
-            return _residual(
+        def improve(_: Array, now: tuple[Array, Array, Numbers]) -> tuple[Array, Array, Numbers]:
+            joints = now[0]
+            error, moves = _residual(
                 robot, index, chain, present.at[chain].set(joints), position, quaternion, settings
             )
+            square = sum((part * part for part in error), jnp.asarray(settings.damping, start.dtype))
+            step = _damped_step(moves, error, square)
+            better = jnp.clip(joints + jnp.clip(step, -settings.longest, settings.longest), low, high)
+            return better, joints, error
 
-        joints = jax.lax.fori_loop(0, settings.iterations, improve, start)
-        error, _ = residual(joints)
+        nothing = tuple(jnp.zeros_like(start[0]) for _ in range(3 if quaternion is None else 6))
+        _, joints, error = lax.fori_loop(0, settings.iterations + 1, improve, (start, start, nothing))
         off = jnp.sqrt(sum(part * part for part in error[:3]))
         turned = jnp.sqrt(sum(part * part for part in error[3:])) if error[3:] else jnp.zeros_like(off)
         return joints, off, turned / settings.angle_weight
@@ -112,6 +122,15 @@ def inverse_kinematics(
     return jax.tree.map(lambda leaf: leaf[order], IkSolutions(whole, off, turned, travel, solved))
 
 
+def starts_around(
+    robot: Robot, chain: np.ndarray, present: Float[Array, "J"], key: Key[Array, ""], count: int
+) -> Float[Array, "N C"]:
+    """The present joints of a chain, and others within the limits and half a turn of them."""
+    begin = present[chain]
+    low, high = (jnp.clip(limit[chain], begin - jnp.pi, begin + jnp.pi) for limit in (robot.low, robot.high))
+    return jax.random.uniform(key, (count, len(chain)), present.dtype, low, high).at[0].set(begin)
+
+
 def _residual(
     robot: Robot,
     tool: int,
@@ -120,41 +139,45 @@ def _residual(
     position: Float[Array, "3"],
     quaternion: Float[Array, "4"] | None,
     settings: IkSettings,
-) -> tuple[Numbers, list[Numbers]]:
-    """What is missing, three or six numbers in metres, and how each joint of the chain changes it."""
-    links = frames(robot, joints, (robot.tool_links[tool],))
-    place, turn = tool_frame(robot, links, tool)
+) -> tuple[Numbers, Numbers]:
+    """What is missing, three or six numbers in metres, and how the joints of the chain change each."""
+    links = frames(robot, joints, chain.tolist())
+    place, turn = (tuple(part[0] for part in parts) for parts in tool_frames(robot, last(links), [tool]))
     error = tuple(there - here for there, here in zip(tuple(position), place, strict=True))
-    columns = [column(robot, links[joint], joint, place) for joint in chain.tolist()]
+    moves = columns(robot, links, chain.tolist(), place)
     if quaternion is None:
-        return error, [one[:3] for one in columns]
+        return error, moves[:3]
     real, *imaginary = multiply(tuple(quaternion), (turn[0], -turn[1], -turn[2], -turn[3]))
     sine = jnp.sqrt(sum(part * part for part in imaginary))
     angle = 2 * jnp.arctan2(sine, jnp.abs(real)) * jnp.sign(jnp.where(real == 0, 1, real))
-    scale = settings.angle_weight * jnp.where(
-        sine > 1e-6, angle / jnp.maximum(sine, 1e-6), 2 * jnp.sign(real)
-    )
     weight = settings.angle_weight
-    weighted = [(*one[:3], *(weight * part for part in one[3:])) for one in columns]
-    return (*error, *(scale * part for part in imaginary)), weighted
+    scale = weight * jnp.where(sine > 1e-6, angle / jnp.maximum(sine, 1e-6), 2 * jnp.sign(real))
+    turning = tuple(weight * part for part in moves[3:])
+    return (*error, *(scale * part for part in imaginary)), (*moves[:3], *turning)
 
 
-def _damped_step(columns: list[Numbers], error: Numbers, damping: Array) -> Float[Array, "C"]:
+def _damped_step(moves: Numbers, error: Numbers, damping: Array) -> Float[Array, "C"]:
     """J^T (J J^T + damping)^-1 error, by Cholesky's decomposition, number by number."""
-    size = range(len(error))
-    root: dict[tuple[int, int], Array] = {}
+    once, size = (
+        lax.optimization_barrier,
+        range(len(error)),
+    )  # else XLA computes it anew for each number of it
+    rows: list[list[Array]] = []
     for i in size:
+        row: list[Array] = []
         for j in range(i + 1):
-            value = sum((one[i] * one[j] for one in columns), damping if i == j else jnp.zeros_like(damping))
-            value = value - sum(root[i, k] * root[j, k] for k in range(j))
-            root[i, j] = jnp.sqrt(jnp.maximum(value, 1e-12)) if i == j else value / root[j, j]
+            value = (moves[i] * moves[j]).sum() + (damping if i == j else 0)
+            value = value - sum(row[k] * other for k, other in enumerate(rows[j][:j] if j < i else row))
+            row.append(value / rows[j][j] if j < i else jnp.sqrt(jnp.maximum(value, 1e-12)))
+        rows.append(once(row))
     forward: list[Array] = []
     for i in size:
-        forward.append((error[i] - sum(root[i, k] * forward[k] for k in range(i))) / root[i, i])
+        forward.append(once((error[i] - sum(rows[i][k] * forward[k] for k in range(i))) / rows[i][i]))
     solved: dict[int, Array] = {}
     for i in reversed(size):
-        solved[i] = (forward[i] - sum(root[k, i] * solved[k] for k in range(i + 1, len(error)))) / root[i, i]
-    return jnp.stack([sum(one[i] * solved[i] for i in size) for one in columns])
+        above = sum(rows[k][i] * solved[k] for k in range(i + 1, len(error)))
+        solved[i] = once((forward[i] - above) / rows[i][i])
+    return sum((moves[i] * solved[i] for i in size), jnp.zeros_like(moves[0]))
 
 
 def _check_limits(robot: Robot, present: Float[Array, "J"]) -> None:

@@ -1,13 +1,17 @@
 """Forward kinematics and Jacobians: where links and tools are, and how joints move them.
 
-Everything is written number by number along the tree. A batch (`jax.vmap`) makes long arrays of them, which a
-CPU computes several at once, and no factor is rounded as GPUs round those of matrix products.
+All ways from the base to its last links are walked at once, a joint a step: a loop with a small body, which
+compiles soon, and in which each number has an array of its own over those ways. A batch (`jax.vmap`) makes
+them long, and a CPU computes several at once; no factor is rounded as GPUs round those of matrix products.
+What ways share is computed for each of them.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from doojax.robots.robot import BASE, Robot
@@ -15,81 +19,99 @@ from doojax.robots.robot import BASE, Robot
 type Numbers = tuple[Array, ...]
 
 
-class Frame(NamedTuple):
-    """A link in the base's frame."""
+class Frames(NamedTuple):
+    """Of the links that were asked for, in the base's frame; each number is an array over them."""
 
     position: Numbers  # x, y, z
     quaternion: Numbers  # w, x, y, z
-    axis: Numbers  # of its joint
+    axis: Numbers  # of their joints
 
 
 def tool_poses(robot: Robot, joints: Float[Array, "J"]) -> tuple[Float[Array, "T 3"], Float[Array, "T 4"]]:
     """Positions (m) and unit quaternions of the tools in the base's frame."""
-    links = frames(robot, joints, robot.tool_links)
-    found = [tool_frame(robot, links, tool) for tool in range(len(robot.tools))]
-    return jnp.stack([jnp.stack(place) for place, _ in found]), jnp.stack(
-        [jnp.stack(turn) for _, turn in found]
-    )
+    place, quaternion = tool_frames(robot, frames(robot, joints, robot.tool_links), range(len(robot.tools)))
+    return jnp.stack(place, axis=-1), jnp.stack(quaternion, axis=-1)
 
 
 def link_poses(robot: Robot, joints: Float[Array, "J"]) -> tuple[Float[Array, "J 3"], Float[Array, "J 4"]]:
     """Positions (m) and unit quaternions of all links' frames in the base's frame."""
     links = frames(robot, joints, range(len(robot.joints)))
-    found = [links[joint] for joint in range(len(robot.joints))]
-    return (
-        jnp.stack([jnp.stack(frame.position) for frame in found]),
-        jnp.stack([jnp.stack(frame.quaternion) for frame in found]),
-    )
+    return jnp.stack(links.position, axis=-1), jnp.stack(links.quaternion, axis=-1)
 
 
 def tool_jacobians(robot: Robot, joints: Float[Array, "J"]) -> Float[Array, "T 6 J"]:
     """Velocities of the tools' positions, then their angular velocities, by each joint's; base's axes."""
-    links = frames(robot, joints, robot.tool_links)
-    still = [jnp.zeros_like(joints[0])] * 6
     rows = []
     for tool, link in enumerate(robot.tool_links):
-        place, _ = tool_frame(robot, links, tool)
         chain = robot.chain(link)
-        columns = {joint: column(robot, links[joint], joint, place) for joint in chain}
-        rows.append(jnp.stack([jnp.stack(columns.get(j, still)) for j in range(len(robot.joints))], axis=-1))
+        links = frames(robot, joints, chain)
+        (x, y, z), _ = tool_frames(robot, last(links), [tool])
+        found = jnp.stack(columns(robot, links, chain, (x[0], y[0], z[0])))
+        rows.append(jnp.zeros((6, len(robot.joints)), joints.dtype).at[:, np.array(chain, int)].set(found))
     return jnp.stack(rows)
 
 
-def frames(robot: Robot, joints: Float[Array, "J"], wanted: Iterable[int]) -> dict[int, Frame]:
-    """The frames of some links and of all that carry them, and that of the base."""
-    one, zero = jnp.ones_like(joints[0]), jnp.zeros_like(joints[0])
-    found = {BASE: Frame((zero, zero, zero), (one, zero, zero, zero), (zero, zero, zero))}
-    for joint in sorted({joint for link in wanted for joint in robot.chain(link)}):
-        parent = found[robot.parents[joint]]
-        value = joints[joint] - robot.zero[joint]
-        x, y, z = axis = tuple(robot.axis[joint])
-        offset = tuple(robot.offset[joint])
-        if robot.slides[joint]:
-            offset = tuple(a + value * b for a, b in zip(offset, axis, strict=True))
-            quaternion = parent.quaternion
-        else:
-            sine = jnp.sin(value / 2)
-            quaternion = multiply(parent.quaternion, (jnp.cos(value / 2), x * sine, y * sine, z * sine))
-        found[joint] = Frame(
-            add(parent.position, turn(parent.quaternion, offset)), quaternion, turn(parent.quaternion, axis)
-        )
-    return found
+def frames(robot: Robot, joints: Float[Array, "J"], wanted: Sequence[int]) -> Frames:
+    """The frames of some links; `BASE` is that of the base."""
+    ways = [way for way in map(robot.chain, wanted) if way]
+    ways = [way for way in ways if not any(way != other and way == other[: len(way)] for other in ways)]
+    ways = list(dict.fromkeys(ways)) or [()]
+    depth = max([1, *map(len, ways)])
+    # Rows of joints, a step each; beyond a way's end -1, a joint that does nothing.
+    steps = np.array([[way[step] if step < len(way) else BASE for way in ways] for step in range(depth)])
+    real = steps != BASE
+    value = jnp.where(real, joints[steps] - robot.zero[steps], 0)
+    offset = jnp.where(real[..., None], robot.offset[steps], 0)
+    axis = jnp.where(real[..., None], robot.axis[steps], 0)
+    slide = np.where(real, np.array([*robot.slides, False])[steps], False)
+    angle, length = jnp.where(slide, 0, value), jnp.where(slide, value, 0)
+    sine, cosine = jnp.sin(angle / 2), jnp.cos(angle / 2)
+    offset = offset + length[..., None] * axis
+    turns = (cosine, *(axis[..., i] * sine for i in range(3)))
+
+    def step(parent: tuple[Numbers, Numbers], link: tuple[Numbers, ...]) -> tuple:
+        position, quaternion = parent
+        offset, axis, by = link
+        place = add(position, turn(quaternion, offset))
+        turned = multiply(quaternion, by)
+        return (place, turned), (place, turned, turn(quaternion, axis))
+
+    one = jnp.ones_like(value[0])
+    begin = (one * 0, one * 0, one * 0), (one, one * 0, one * 0, one * 0)
+    parts = tuple(tuple(values[..., i] for i in range(3)) for values in (offset, axis))
+    _, found = lax.scan(step, begin, (*parts, turns))
+    where = {joint: (row, lane) for row, lanes in enumerate(steps) for lane, joint in enumerate(lanes)}
+    rows, lanes = np.array([where.get(link, (0, 0)) for link in wanted], int).reshape(-1, 2).T
+    on_base = np.array([link == BASE for link in wanted], bool)
+    position, quaternion, axes = (tuple(part[rows, lanes] for part in parts) for parts in found)
+    if on_base.any():
+        position, axes = (tuple(jnp.where(on_base, 0, part) for part in parts) for parts in (position, axes))
+        quaternion = tuple(jnp.where(on_base, float(i == 0), part) for i, part in enumerate(quaternion))
+    return Frames(position, quaternion, axes)
 
 
-def tool_frame(robot: Robot, links: dict[int, Frame], tool: int) -> tuple[Numbers, Numbers]:
-    """Position and quaternion of a tool."""
-    link = links[robot.tool_links[tool]]
-    place = add(link.position, turn(link.quaternion, tuple(robot.tool_position[tool])))
-    return place, multiply(link.quaternion, tuple(robot.tool_quaternion[tool]))
+def last(links: Frames) -> Frames:
+    """The last of some links alone, with an axis of one."""
+    return Frames(*(tuple(part[-1:] for part in parts) for parts in links))
 
 
-def column(robot: Robot, link: Frame, joint: int, place: Numbers) -> Numbers:
-    """How a joint moves a point at ``place`` that it carries, and turns it."""
-    if robot.slides[joint]:
-        zero = jnp.zeros_like(place[0])
-        return (*link.axis, zero, zero, zero)
-    arm = tuple(a - b for a, b in zip(place, link.position, strict=True))
-    return (*cross(link.axis, arm), *link.axis)
+def tool_frames(robot: Robot, links: Frames, tools: Sequence[int]) -> tuple[Numbers, Numbers]:
+    """Positions and quaternions of tools, given their links' frames."""
+    index = np.array(tools, int)
+    offset = tuple(robot.tool_position[index, i] for i in range(3))
+    by = tuple(robot.tool_quaternion[index, i] for i in range(4))
+    return add(links.position, turn(links.quaternion, offset)), multiply(links.quaternion, by)
+
+
+def columns(robot: Robot, links: Frames, chain: Sequence[int], place: Numbers) -> Numbers:
+    """How each joint of a chain moves a point at ``place`` that it carries, and turns it: six numbers."""
+    slides = np.array([robot.slides[joint] for joint in chain], bool)
+    arm = tuple(there - here for there, here in zip(place, links.position, strict=True))
+    moved = cross(links.axis, arm)
+    if not slides.any():
+        return (*moved, *links.axis)
+    moved = tuple(jnp.where(slides, a, b) for a, b in zip(links.axis, moved, strict=True))
+    return (*moved, *(jnp.where(slides, 0, part) for part in links.axis))
 
 
 def add(left: Numbers, right: Numbers) -> Numbers:

@@ -11,6 +11,7 @@ from doojax.robots import (
     clearance,
     dual_arm,
     floor_distances,
+    is_free,
     obstacle_distances,
     read_robot,
     self_distance,
@@ -77,6 +78,16 @@ def test_distances_are_mujocos():
         parts = to_box[row].min(), to_self[row], to_floor[row].min()
         assert least[row] == pytest.approx(min(parts), abs=1e-6)
     assert apart > 2
+
+
+def test_what_is_called_free_is_and_little_else_is_not():
+    joints = jnp.concatenate([within_limits(ARMS, 90, 2) * 0.4, within_limits(ARMS, 30, 3)])
+    exact = np.asarray(jax.jit(jax.vmap(lambda q: clearance(ARMS, q, BOX, FLOOR)))(joints))
+    called = np.asarray(jax.jit(jax.vmap(lambda q: is_free(ARMS, q, BOX, 0.01, FLOOR)))(joints))
+    assert 10 < called.sum() < 110
+    assert exact[called].min() > 0.01
+    # the longest axis of a capsule is 0.32 m, of which 1/256 may be missing
+    assert exact[~called].max() < 0.01 + 0.32 / 256 + 1e-5
 
 
 def test_arms_at_rest_touch_nothing_and_arms_that_meet_do():
