@@ -1,0 +1,286 @@
+"""Motions of a robot's joints past obstacles: many queries side by side, shortened, and timed.
+
+`plan_motions` searches (see `doojax.planning.joint_tree`), shortens what it finds and checks it once more,
+more densely than the search. `repaired_start` moves joints that begin in slight collision out of it, and
+`MotionPlan.at` says where joints are when.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from doojax.keys import numbered
+from doojax.modules import Jittable
+from doojax.parts import traced
+from doojax.planning.joint_tree import Free, JointTrees, MotionQuery, grown, roots
+from doojax.robots import Robot, clearance, is_free
+from doojax.types import Obstacles
+
+FARTHEST = float(np.deg2rad(280))  # that the thesis lets a joint move from where it starts, rad
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """How motions are searched for."""
+
+    steps: int = 500  # of the search, at most
+    nodes: int = 512  # of each tree, at most
+    points: int = 16  # that are checked on each straight line of the search
+    step: float = 0.06  # rad, the most that a joint moves between two of them
+    margin: float = 0.005  # m, to be kept from all that must not be touched
+    farthest: float = FARTHEST  # rad, that a joint may move from where it starts
+    waypoints: int = 64  # of a motion, at most
+    shortcuts: int = 32  # that are tried
+    lanes: int = 32  # queries that are searched at once; others wait for their turn
+
+    def __post_init__(self):
+        """Refuse what finds nothing."""
+        for name, value in vars(self).items():
+            least = 0 if name in ("margin", "shortcuts") else 2 if name in ("nodes", "waypoints") else None
+            if not (value > 0 if least is None else value >= least) or value > 1e6:
+                wanted = "more than 0" if least is None else f"{least} or more"
+                raise ValueError(f"{name} is {value}, expected {wanted}, and at most a million")
+
+
+class MotionPlan(eqx.Module):
+    """Straight lines between joint positions; of a failed search, the start alone."""
+
+    waypoints: Float[Array, "*b W J"]  # rad or m; after the last they repeat it
+    count: Int[Array, "*b"]  # of waypoints
+    times: Float[Array, "*b W"]  # s, when each is reached at the largest speeds
+    solved: Bool[Array, "*b"]
+    checks: Int[Array, "*b"]  # of joint positions that the search made
+
+    def at(self, time: Float[Array, ""]) -> Float[Array, "J"]:
+        """Joints at a time (s) of one plan: the first before it begins and the last after it ended."""
+        return jax.vmap(partial(jnp.interp, time, self.times), 1)(self.waypoints)
+
+
+class MotionPlanner(Jittable):
+    """What motions are planned for."""
+
+    robot: Robot
+    obstacles: Obstacles
+    moving: tuple[int, ...] = eqx.field(static=True)  # indices of the joints that may move
+    floor: float | None = eqx.field(static=True, default=None)  # height, m
+    settings: MotionSettings = eqx.field(static=True, default=MotionSettings())
+
+    def query(self, start: Float[Array, "J"], goals: Float[Array, "G J"]) -> MotionQuery:
+        """A query of those joints that move, within limits and `MotionSettings.farthest` of the start."""
+        index = np.array(self.moving)
+        begin = start[index]
+        far = self.settings.farthest
+        low, high = (
+            jnp.maximum(self.robot.low[index], begin - far),
+            jnp.minimum(self.robot.high[index], begin + far),
+        )
+        ends = goals[:, index]
+        return MotionQuery(begin, ends, ((ends >= low) & (ends <= high)).all(-1), low, high)
+
+    def free(self, start: Float[Array, "J"], margin: float) -> Free:
+        """Whether joints that move are free, while the others stay as in ``start``."""
+        index = np.array(self.moving)
+
+        def one(values: Float[Array, "M"]) -> Bool[Array, ""]:
+            joints = start.at[index].set(values)
+            return is_free(self.robot, joints, self.obstacles, margin, self.floor)
+
+        return one
+
+    def check(self, start: Float[Array, "J"], goals: Float[Array, "G J"]) -> None:
+        """Say what is wrong with a query, outside of jit.
+
+        Raises:
+            ValueError: the start is beyond the joints' limits or in collision, or every goal is, or is
+                farther away than joints may move.
+        """
+        robot, index = self.robot, np.array(self.moving)
+        beyond = np.flatnonzero(np.asarray((start < robot.low - 1e-5) | (start > robot.high + 1e-5)))
+        if beyond.size:
+            joint = int(beyond[0])
+            raise ValueError(
+                f"joint {robot.joints[joint]!r} starts at {float(start[joint]):.4g}, beyond its limits, "
+                f"{float(robot.low[joint]):.4g} to {float(robot.high[joint]):.4g}"
+            )
+        depth = float(clearance(robot, start, self.obstacles, self.floor))
+        if depth <= self.settings.margin:
+            raise ValueError(
+                f"the start is {depth:.4g} m from what it must not touch, expected more than "
+                f"{self.settings.margin} m: move it out with repaired_start, or ask for less margin"
+            )
+        near = np.asarray(self.query(start, goals).active)
+        ends = [start.at[index].set(goal[index]) for goal in goals[near]]
+        if not near.any():
+            raise ValueError(
+                f"none of {len(goals)} goals is within the joints' limits and "
+                f"{np.rad2deg(self.settings.farthest):.0f} degrees of the start"
+            )
+        depths = [float(clearance(robot, end, self.obstacles, self.floor)) for end in ends]
+        if max(depths) <= self.settings.margin:
+            raise ValueError(
+                f"no goal is farther than {self.settings.margin} m from what must not be touched: the best "
+                f"is {max(depths):.4g} m from it"
+            )
+
+
+@eqx.filter_jit
+def plan_motions(
+    planner: MotionPlanner,
+    starts: Float[Array, "Q J"],
+    goals: Float[Array, "Q G J"],
+    key: Key[Array, ""],
+) -> MotionPlan:
+    """Motions of Q queries from free starts; goals that are not free are never met.
+
+    Each query's result depends on its number and the key, not on the others.
+    """
+    settings = planner.settings
+    queries = jax.vmap(planner.query)(starts, goals)
+    keys = numbered(key, range(len(starts)))
+    trees = jax.vmap(partial(roots, nodes=settings.nodes))(queries)
+
+    def is_waiting(trees: JointTrees) -> Bool[Array, "Q"]:
+        return ~trees.done & (trees.steps < settings.steps) & queries.active.any(-1)
+
+    def advance(trees: JointTrees) -> JointTrees:
+        waiting = is_waiting(trees)
+        lanes = jnp.nonzero(waiting, size=min(settings.lanes, len(starts)), fill_value=len(starts))[0]
+        query, tree, start, own = jax.tree.map(
+            lambda leaf: leaf.at[lanes].get(mode="clip"), (queries, trees, starts, keys)
+        )
+
+        def one(query: MotionQuery, tree: JointTrees, start: Array, key: Array) -> JointTrees:
+            free = planner.free(start, settings.margin)
+            key = jax.random.fold_in(key, tree.steps)
+            return grown(query, tree, free, settings.step, settings.points, key)
+
+        after = jax.vmap(one)(query, tree, start, own)
+        return jax.tree.map(lambda all_, some: all_.at[lanes].set(some, mode="drop"), trees, after)
+
+    trees = jax.lax.while_loop(lambda trees: is_waiting(trees).any(), advance, trees)
+    return jax.lax.map(
+        lambda query: _finished(planner, *query), (trees, starts, keys), batch_size=settings.lanes
+    )
+
+
+def _finished(planner: MotionPlanner, trees: JointTrees, start: Float[Array, "J"], key: Array) -> MotionPlan:
+    """The way through the trees, shortened, checked and timed."""
+    settings = planner.settings
+    path, count, fits = _way(trees, settings.waypoints)
+    free = planner.free(start, settings.margin)
+    shorten = jax.random.fold_in(key, settings.steps)
+    path, count = _shortened(path, count, free, settings, shorten)
+    solved = fits & _is_whole(path, planner.free(start, 0.0), settings)
+    moving = np.array(planner.moving)
+    path = jnp.where(solved, path, start[moving])
+    whole = jnp.broadcast_to(start, (settings.waypoints, len(start))).at[:, moving].set(path)
+    longest = (jnp.abs(path[1:] - path[:-1]) / planner.robot.speed[moving]).max(-1)
+    times = jnp.concatenate([jnp.zeros(1, longest.dtype), jnp.cumsum(longest)])
+    return MotionPlan(whole, jnp.where(solved, count, 1), times, solved, trees.checks)
+
+
+def _way(trees: JointTrees, most: int) -> tuple[Float[Array, "W J"], Int[Array, ""], Bool[Array, ""]]:
+    """The nodes from the start to a goal, how many there are, and whether they met and fit."""
+
+    def climb(tree: int) -> tuple[Array, Array]:
+        def up(node: Array, _: None) -> tuple[Array, Array]:
+            return jnp.where(node >= 0, trees.parents[tree, node], -1), node
+
+        _, nodes = jax.lax.scan(up, trees.met[tree], None, most)
+        return nodes, (nodes >= 0).sum()
+
+    (back, begun), (on, ended) = climb(0), climb(1)
+    place = jnp.arange(most)
+    count = begun + ended - 1  # the node where they met is in both
+    first = trees.joints[0, back[jnp.clip(begun - 1 - place, 0, most - 1)]]
+    second = trees.joints[1, on[jnp.clip(jnp.minimum(place, count - 1) - begun + 1, 0, most - 1)]]
+    met = trees.met[0] >= 0
+    rooted = (begun < most) & (ended < most)
+    return jnp.where((place < begun)[:, None], first, second), count, met & rooted & (count <= most)
+
+
+def _shortened(
+    path: Float[Array, "W J"], count: Int[Array, ""], free: Free, settings: MotionSettings, key: Array
+) -> tuple[Float[Array, "W J"], Int[Array, ""]]:
+    """Without waypoints between two that a straight line joins."""
+    place = jnp.arange(len(path))
+
+    def attempt(number: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        path, count = now
+        one, two = jax.random.randint(jax.random.fold_in(key, number), (2,), 0, jnp.maximum(count, 1))
+        first, last = jnp.minimum(one, two), jnp.maximum(one, two)
+        skipped = last - first - 1
+        better = (skipped > 0) & _is_free_line(path[first], path[last], free, settings)
+        moved = path[jnp.where(place > first, jnp.minimum(place + skipped, len(path) - 1), place)]
+        return jnp.where(better, moved, path), jnp.where(better, count - skipped, count)
+
+    return jax.lax.fori_loop(0, settings.shortcuts, attempt, (path, count))
+
+
+def _is_free_line(
+    begin: Float[Array, "J"], end: Float[Array, "J"], free: Free, settings: MotionSettings
+) -> Bool[Array, ""]:
+    """Whether a line is free, checked as densely as in the search; one too long for that is not."""
+    points = 3 * settings.points
+    passed = jax.vmap(free)(begin + jnp.linspace(0, 1, points + 1)[1:, None] * (end - begin))
+    return passed.all() & (jnp.abs(end - begin).max() <= points * settings.step)
+
+
+def _is_whole(path: Float[Array, "W J"], free: Free, settings: MotionSettings) -> Bool[Array, ""]:
+    """Whether all lines are free, checked twice as densely as in the search."""
+    fractions = jnp.linspace(0, 1, 6 * settings.points + 1)
+
+    def line(ends: tuple[Array, Array]) -> Bool[Array, ""]:
+        begin, end = ends
+        return jax.vmap(free)(begin + fractions[:, None] * (end - begin)).all()
+
+    return jax.lax.map(line, (path[:-1], path[1:])).all()
+
+
+def repaired_start(
+    planner: MotionPlanner,
+    start: Float[Array, "J"],
+    key: Key[Array, ""],
+    most: float = float(np.deg2rad(2)),
+    rounds: int = 10,
+    samples: int = 100,
+) -> Float[Array, "J"]:
+    """Joints near to ``start`` that are free: it itself if it is.
+
+    In each round joints are moved by up to ``most`` (rad) at random, and the sample with the most clearance
+    is where the next round begins, as long as none is free.
+
+    Raises:
+        ValueError: outside of jit, if none is found: the start is in deep collision.
+    """
+    index = np.array(planner.moving)
+    margin = planner.settings.margin + 1e-4
+
+    def distance(joints: Float[Array, "J"]) -> Float[Array, ""]:
+        return clearance(planner.robot, joints, planner.obstacles, planner.floor)
+
+    def go_on(number: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        joints, best = now
+        change = jax.random.uniform(
+            jax.random.fold_in(key, number), (samples, len(index)), joints.dtype, -most, most
+        )
+        tried = jnp.clip(joints + jnp.zeros((samples, len(joints))).at[:, index].set(change), low, high)
+        distances = jax.lax.map(distance, tried, batch_size=25)
+        there = jnp.argmax(distances)
+        better = (best <= margin) & (distances[there] > best)
+        return jnp.where(better, tried[there], joints), jnp.where(better, distances[there], best)
+
+    low, high = planner.robot.low, planner.robot.high
+    found, best = jax.lax.fori_loop(0, rounds, go_on, (start, distance(start)))
+    if not traced(best) and float(best) <= margin:
+        raise ValueError(
+            f"no start is free within {rounds} rounds of {np.rad2deg(most):.3g} degrees: the best is "
+            f"{float(best):.4g} m from what it must not touch, expected {margin:.4g} m. Move the robot or "
+            "the obstacle"
+        )
+    return found
