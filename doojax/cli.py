@@ -18,7 +18,16 @@ import doojax
 from doojax.commands import COMMANDS, Commands, load
 
 # What comes with an extra of doojax only -> the extra.
-EXTRAS = {"flax": "bench", "h_signature": "bench", "ompl": "bench", "playwright": "dev", "warp": "warp"}
+EXTRAS = {
+    "flax": "bench",
+    "h_signature": "bench",
+    "mink": "bench",
+    "ompl": "bench",
+    "playwright": "dev",
+    "pytorch_mppi": "bench",
+    "torch": "bench",
+    "warp": "warp",
+}
 X64 = (
     "JAX_ENABLE_X64 is set, but data sets, scenes and models of the doojax command are of 32-bit numbers: "
     "unset it; as a library, doojax computes in either"

@@ -25,6 +25,15 @@ BENCHMARKS: Commands = {
     "planner": ("doojax.benchmarks.planner:planner", "extensions per second beside OMPL's RRT"),
     "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
     "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
+    "mppi": ("doojax.benchmarks.mppi:mppi", "control of a pendulum, beside pytorch-mppi"),
+    "motion": (
+        "doojax.benchmarks.motion:motion",
+        "motions of the dual arm among a rack, beside OMPL's RRTConnect",
+    ),
+    "kinematics": (
+        "doojax.benchmarks.kinematics:kinematics",
+        "inverse kinematics: how often and how soon, beside mink",
+    ),
     "augment": (
         "doojax.benchmarks.augmentation:augmentation",
         "augmentations per second, and how far their outcomes are from the simulator's",
