@@ -5,6 +5,7 @@ more densely than the search. `repaired_start` moves joints that begin in slight
 `MotionPlan.at` says where joints are when.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -82,7 +83,7 @@ class MotionPlanner(Jittable):
         ends = goals[:, index]
         return MotionQuery(begin, ends, ((ends >= low) & (ends <= high)).all(-1), low, high)
 
-    def free(self, start: Float[Array, "J"], margin: float) -> Free:
+    def free(self, start: Float[Array, "J"], margin: float | Float[Array, ""]) -> Free:
         """Whether joints that move are free, while the others stay as in ``start``."""
         index = np.array(self.moving)
 
@@ -107,7 +108,7 @@ class MotionPlanner(Jittable):
                 f"joint {robot.joints[joint]!r} starts at {float(start[joint]):.4g}, beyond its limits, "
                 f"{float(robot.low[joint]):.4g} to {float(robot.high[joint]):.4g}"
             )
-        depth = float(clearance(robot, start, self.obstacles, self.floor))
+        depth = float(_distance(self, start))
         if depth <= self.settings.margin:
             raise ValueError(
                 f"the start is {depth:.4g} m from what it must not touch, expected more than "
@@ -120,7 +121,7 @@ class MotionPlanner(Jittable):
                 f"none of {len(goals)} goals is within the joints' limits and "
                 f"{np.rad2deg(self.settings.farthest):.0f} degrees of the start"
             )
-        depths = [float(clearance(robot, end, self.obstacles, self.floor)) for end in ends]
+        depths = [float(_distance(self, end)) for end in ends]
         if max(depths) <= self.settings.margin:
             raise ValueError(
                 f"no goal is farther than {self.settings.margin} m from what must not be touched: the best "
@@ -172,16 +173,15 @@ def _finished(planner: MotionPlanner, trees: JointTrees, start: Float[Array, "J"
     """The way through the trees, shortened, checked and timed."""
     settings = planner.settings
     path, count, fits = _way(trees, settings.waypoints)
-    free = planner.free(start, settings.margin)
     shorten = jax.random.fold_in(key, settings.steps)
-    path, count = _shortened(path, count, free, settings, shorten)
-    solved = fits & _is_whole(path, planner.free(start, 0.0), settings)
+    path, count, whole = _shortened(path, count, partial(planner.free, start), settings, shorten)
+    solved = fits & whole
     moving = np.array(planner.moving)
     path = jnp.where(solved, path, start[moving])
-    whole = jnp.broadcast_to(start, (settings.waypoints, len(start))).at[:, moving].set(path)
+    every = jnp.broadcast_to(start, (settings.waypoints, len(start))).at[:, moving].set(path)
     longest = (jnp.abs(path[1:] - path[:-1]) / planner.robot.speed[moving]).max(-1)
     times = jnp.concatenate([jnp.zeros(1, longest.dtype), jnp.cumsum(longest)])
-    return MotionPlan(whole, jnp.where(solved, count, 1), times, solved, trees.checks)
+    return MotionPlan(every, jnp.where(solved, count, 1), times, solved, trees.checks)
 
 
 def _way(trees: JointTrees, most: int) -> tuple[Float[Array, "W J"], Int[Array, ""], Bool[Array, ""]]:
@@ -205,41 +205,45 @@ def _way(trees: JointTrees, most: int) -> tuple[Float[Array, "W J"], Int[Array, 
 
 
 def _shortened(
-    path: Float[Array, "W J"], count: Int[Array, ""], free: Free, settings: MotionSettings, key: Array
-) -> tuple[Float[Array, "W J"], Int[Array, ""]]:
-    """Without waypoints between two that a straight line joins."""
-    place = jnp.arange(len(path))
+    path: Float[Array, "W J"],
+    count: Int[Array, ""],
+    free: Callable[[Array], Free],
+    settings: MotionSettings,
+    key: Array,
+) -> tuple[Float[Array, "W J"], Int[Array, ""], Bool[Array, ""]]:
+    """Without waypoints between two that a straight line joins; and whether all that is left is free.
 
-    def attempt(number: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
-        path, count = now
+    Lines are checked at least twice as densely as in the search; one too long for that is no shortcut. What
+    is left need keep no margin.
+    """
+    place, shortcuts = jnp.arange(len(path)), settings.shortcuts
+    fractions = jnp.linspace(0, 1, 6 * settings.points + 1)[:, None]
+    longest = 3 * settings.points * settings.step
+
+    def attempt(number: Array, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        path, count, whole = now
         one, two = jax.random.randint(jax.random.fold_in(key, number), (2,), 0, jnp.maximum(count, 1))
-        first, last = jnp.minimum(one, two), jnp.maximum(one, two)
-        skipped = last - first - 1
-        better = (skipped > 0) & _is_free_line(path[first], path[last], free, settings)
+        checks = number >= shortcuts
+        first = jnp.where(checks, number - shortcuts, jnp.minimum(one, two))
+        last = jnp.where(checks, first + 1, jnp.maximum(one, two))
+        begin, end = path[first], path[last]
+        is_free = free(jnp.where(checks, 0.0, settings.margin))
+        passed = jax.vmap(is_free)(begin + fractions * (end - begin)).all()
+        short = passed & (jnp.abs(end - begin).max() <= longest) & ~checks
+        skipped = jnp.where(short, jnp.maximum(last - first - 1, 0), 0)
         moved = path[jnp.where(place > first, jnp.minimum(place + skipped, len(path) - 1), place)]
-        return jnp.where(better, moved, path), jnp.where(better, count - skipped, count)
+        return moved, count - skipped, whole & (passed | ~checks)
 
-    return jax.lax.fori_loop(0, settings.shortcuts, attempt, (path, count))
+    def left(now: tuple[Array, tuple[Array, Array, Array]]) -> Bool[Array, ""]:
+        number, (_, count, _) = now
+        return number < shortcuts + count - 1
 
+    def go_on(now: tuple[Array, tuple[Array, Array, Array]]) -> tuple[Array, tuple[Array, Array, Array]]:
+        number, path = now
+        return number + 1, attempt(number, path)
 
-def _is_free_line(
-    begin: Float[Array, "J"], end: Float[Array, "J"], free: Free, settings: MotionSettings
-) -> Bool[Array, ""]:
-    """Whether a line is free, checked as densely as in the search; one too long for that is not."""
-    points = 3 * settings.points
-    passed = jax.vmap(free)(begin + jnp.linspace(0, 1, points + 1)[1:, None] * (end - begin))
-    return passed.all() & (jnp.abs(end - begin).max() <= points * settings.step)
-
-
-def _is_whole(path: Float[Array, "W J"], free: Free, settings: MotionSettings) -> Bool[Array, ""]:
-    """Whether all lines are free, checked twice as densely as in the search."""
-    fractions = jnp.linspace(0, 1, 6 * settings.points + 1)
-
-    def line(ends: tuple[Array, Array]) -> Bool[Array, ""]:
-        begin, end = ends
-        return jax.vmap(free)(begin + fractions[:, None] * (end - begin)).all()
-
-    return jax.lax.map(line, (path[:-1], path[1:])).all()
+    begin = jnp.zeros((), int), (path, count, jnp.array(True))
+    return jax.lax.while_loop(left, go_on, begin)[1]
 
 
 def repaired_start(
@@ -258,25 +262,8 @@ def repaired_start(
     Raises:
         ValueError: outside of jit, if none is found: the start is in deep collision.
     """
-    index = np.array(planner.moving)
     margin = planner.settings.margin + 1e-4
-
-    def distance(joints: Float[Array, "J"]) -> Float[Array, ""]:
-        return clearance(planner.robot, joints, planner.obstacles, planner.floor)
-
-    def go_on(number: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
-        joints, best = now
-        change = jax.random.uniform(
-            jax.random.fold_in(key, number), (samples, len(index)), joints.dtype, -most, most
-        )
-        tried = jnp.clip(joints + jnp.zeros((samples, len(joints))).at[:, index].set(change), low, high)
-        distances = jax.lax.map(distance, tried, batch_size=25)
-        there = jnp.argmax(distances)
-        better = (best <= margin) & (distances[there] > best)
-        return jnp.where(better, tried[there], joints), jnp.where(better, distances[there], best)
-
-    low, high = planner.robot.low, planner.robot.high
-    found, best = jax.lax.fori_loop(0, rounds, go_on, (start, distance(start)))
+    found, best = _repaired(planner, start, key, jnp.asarray(most, start.dtype), margin, rounds, samples)
     if not traced(best) and float(best) <= margin:
         raise ValueError(
             f"no start is free within {rounds} rounds of {np.rad2deg(most):.3g} degrees: the best is "
@@ -284,3 +271,40 @@ def repaired_start(
             "the obstacle"
         )
     return found
+
+
+@eqx.filter_jit
+def _repaired(
+    planner: MotionPlanner,
+    start: Float[Array, "J"],
+    key: Key[Array, ""],
+    most: Float[Array, ""],
+    margin: float,
+    rounds: int,
+    samples: int,
+) -> tuple[Float[Array, "J"], Float[Array, ""]]:
+    low, high, index = planner.robot.low, planner.robot.high, np.array(planner.moving)
+
+    def go_on(now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        number, joints, best = now
+        own, shape = jax.random.fold_in(key, number), (samples, len(index))
+        change = jax.random.uniform(own, shape, joints.dtype, -most, most)
+        moves = jnp.zeros((samples, len(joints)), joints.dtype).at[:, index].set(change)
+        tried = jnp.clip(joints + moves, low, high)
+        distances = jax.lax.map(lambda one: _distance(planner, one), tried, batch_size=min(25, samples))
+        there = jnp.argmax(distances)
+        better = distances[there] > best
+        found = jnp.where(better, tried[there], joints), jnp.where(better, distances[there], best)
+        return number + 1, *found
+
+    def is_caught(now: tuple[Array, Array, Array]) -> Bool[Array, ""]:
+        number, _, best = now
+        return (number < rounds) & (best <= margin)
+
+    begin = jnp.zeros((), int), start, _distance(planner, start)
+    return jax.lax.while_loop(is_caught, go_on, begin)[1:]
+
+
+@eqx.filter_jit
+def _distance(planner: MotionPlanner, joints: Float[Array, "J"]) -> Float[Array, ""]:
+    return clearance(planner.robot, joints, planner.obstacles, planner.floor)

@@ -59,23 +59,21 @@ def grown(
 ) -> JointTrees:
     """The trees after one step; ``points`` are checked on each straight line, at most ``step`` apart."""
     here, there = trees.turn, 1 - trees.turn
-    aim = _drawn(query, trees, there, key)
-    near = _nearest(trees, here, aim)
-    begin = trees.joints[here, near]
-    new, _ = _straight(begin, aim, free, step, points)
-    moved = jnp.any(new != begin)
-    trees = _added(trees, here, near, new, moved)
-    mine = jnp.where(moved, trees.count[here] - 1, near)
 
-    other = _nearest(trees, there, new)
-    begin = trees.joints[there, other]
-    end, reached = _straight(begin, new, free, step, points)
-    at_once = jnp.all(begin == new)
-    further = jnp.any(end != begin)
-    trees = _added(trees, there, other, end, further)
-    theirs = jnp.where(further, trees.count[there] - 1, other)
-    met = jnp.where(here == 0, jnp.stack([mine, theirs]), jnp.stack([theirs, mine]))
-    met = jnp.where(reached | at_once, met, trees.met)
+    def go(
+        now: tuple[JointTrees, Array], tree: Array
+    ) -> tuple[tuple[JointTrees, Array], tuple[Array, Array]]:
+        trees, aim = now
+        near = _nearest(trees, tree, aim)
+        begin = trees.joints[tree, near]
+        end, reached = _straight(begin, aim, free, step, points)
+        moved = jnp.any(end != begin)
+        trees = _added(trees, tree, near, end, moved)
+        return (trees, end), (jnp.where(moved, trees.count[tree] - 1, near), reached | jnp.all(begin == aim))
+
+    both = jnp.stack([here, there])  # a loop, so that it is compiled once
+    (trees, _), (nodes, reached) = jax.lax.scan(go, (trees, _drawn(query, trees, there, key)), both)
+    met = jnp.where(reached[1], nodes[both], trees.met)  # ``both`` is its own inverse
     return eqx.tree_at(
         lambda t: (t.turn, t.met, t.steps, t.checks),
         trees,

@@ -63,7 +63,7 @@ def is_free(
     robot: Robot,
     joints: Float[Array, "J"],
     obstacles: Obstacles,
-    margin: float = 0.0,
+    margin: float | Float[Array, ""] = 0.0,
     floor: float | None = None,
 ) -> Bool[Array, ""]:
     """Whether `clearance` is more than ``margin`` (m), in less time; True only where that is certain.
