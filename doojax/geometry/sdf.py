@@ -115,7 +115,8 @@ def segment_is_far(
     def at(fraction: Array) -> tuple[Array, Array]:
         point = (one + fraction * along for one, along in zip(begin, step, strict=True))
         value, *slopes = _distance_and_gradient(numbers, *point)
-        return value, sum(slope * along for slope, along in zip(slopes, step, strict=True))
+        along = (slope * one for slope, one in zip(slopes, step, strict=True))
+        return value, sum(along, jnp.zeros_like(value))
 
     def halve(number: Array, middle: Array) -> Array:
         _, slope = at(middle)
