@@ -19,13 +19,14 @@ from doojax.benchmarks.physics.cases import (
 )
 from doojax.benchmarks.physics.contact import capstan, plates
 from doojax.benchmarks.physics.energy import energy
-from doojax.benchmarks.physics.engines import agreement, random_data
+from doojax.benchmarks.physics.engines import agreement, random_data, random_states
 from doojax.benchmarks.physics.fall import fall
 from doojax.benchmarks.physics.friction import lying, pushed
 from doojax.benchmarks.physics.statics import twists
 from doojax.benchmarks.physics.swing import hanging
 from doojax.experiments.reports import read_summary
 from doojax.types import RopeState, Trajectory
+from tests.simulation.test_equivalence import needs_warp
 
 PLAIN = Settings("default", converged=True)
 
@@ -159,9 +160,28 @@ def test_engines_agree_where_only_chance_differs_and_not_where_one_sinks_in():
     assert agreement(one, sunk) < 1e-3
 
 
+RANDOM = [
+    ("rope_dragging", "mujoco", (64, 8)),
+    ("dual_gripper", "mujoco", (64, 8)),
+    ("rope_dragging", "mjx", (64, 8)),
+    ("dual_gripper", "mjx", (32, 6)),
+    pytest.param("rope_dragging", "warp", (8, 3), marks=needs_warp),
+    pytest.param("dual_gripper", "warp", (8, 3), marks=needs_warp),
+]
+
+
 @pytest.mark.slow
-def test_random_data_of_dragging_stay_out_of_obstacles():
-    found = {one.case: one for one in random_data(Settings("rope_dragging"), "mujoco", {"mujoco": (16, 4)})}
-    assert found["deeper_than_2mm"].value == 0.0 and found["deeper_than_2mm"].tags["states"] == 64
+@pytest.mark.parametrize(("task", "engine", "size"), RANDOM)
+def test_random_data_stay_out_of_obstacles_and_are_like_those_of_mujoco(task, engine, size):
+    """In contact: at least a tenth of the trajectories end within 2 cm of an obstacle."""
+    found = {one.case: one for one in random_data(Settings(task), engine, {engine: size})}
+    assert found["deeper_than_2mm"].value == 0.0
+    assert found["deeper_than_2mm"].tags["states"] == size[0] * size[1]
     assert found["faulty_trajectories"].right
+    assert engine == "mujoco" or found["unlike_mujoco"].right
+    seen = random_states(task, "mujoco", *size)
+    assert (np.asarray(seen.clearance)[:, -1] < 0.02).mean() > 0.1
+
+
+def test_no_random_data_of_a_plain_scene():
     assert list(random_data(Settings("default"), "mujoco")) == []
