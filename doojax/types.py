@@ -92,7 +92,7 @@ class Trajectory(eqx.Module):
     """T control periods: T + 1 states and the T actions between them."""
 
     states: Any  # such as a RopeState: points [*b, T+1, N, 3], grippers [*b, T+1, G, 3]
-    actions: Float[Array, "*b T G 3"]  # gripper displacements, metres
+    actions: Float[Array, "..."]  # [*b, T, *action]: of hands their displacements, metres, [G, 3]
     faults: Int[Array, "*b T"]  # bit set of doojax.simulation.Fault, per control period
     clearance: Float[Array, "*b T1"]  # m, least distance of rope and grippers to an obstacle, per state
     stretch: Float[Array, "*b T1"]  # by what fraction of its length the rope, held or not, is too long

@@ -210,7 +210,8 @@ def stretch(scene: Scene, holding: Bool[Array, "G"], seen: Observation) -> Float
         return jnp.zeros((), seen.hands.dtype)
     length, model = scene.rope.length, scene.rope_part.model
     holds = np.array([g for g, gripper in enumerate(scene.grippers) if gripper.link is not None], dtype=int)
-    gaps = jnp.where(holding, jnp.linalg.norm(seen.hold_points - seen.hands[holds], axis=-1), 0.0).sum()
+    own = holding[: len(holds)]  # others are grasps anywhere
+    gaps = jnp.where(own, jnp.linalg.norm(seen.hold_points - seen.hands[holds], axis=-1), 0.0).sum()
     if model.kind != "point_masses":
         return gaps / length  # the links of a chain are rigid
     pitch = length / model.links

@@ -20,6 +20,7 @@ from doojax.types import Obstacles, ShapeKind
 if TYPE_CHECKING:
     from doojax.simulation.layout import Layout
     from doojax.simulation.parts import Part
+    from doojax.simulation.parts.arms import ArmBodies
     from doojax.simulation.parts.hands import Hands
     from doojax.simulation.parts.ropes import Rope
 
@@ -93,6 +94,15 @@ class Cylinder:
 
 
 @dataclass(frozen=True)
+class Arms:
+    """A robot with a fixed base, in the place of free hands; its tools hold what `Scene.grasps` lets them."""
+
+    file: str  # MJCF, whose actuators are of the type intvelocity; see doojax.robots.DUAL_ARM
+    tools: tuple[str, ...]  # sites
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the file's origin, m
+
+
+@dataclass(frozen=True)
 class SolverSettings:
     """MuJoCo's solver; the same values serve every engine, because results depend on them.
 
@@ -128,6 +138,10 @@ class Scene:
     )
     solver: SolverSettings = field(default_factory=SolverSettings)
     cylinders: tuple[Cylinder, ...] = field(default=(), repr=False)  # repr: see `digest`
+    arms: Arms | None = field(default=None, repr=False)
+    grasps: bool = field(
+        default=False, repr=False
+    )  # may hands hold the rope anywhere: doojax.simulation.grasps
 
     def __post_init__(self):
         """Refuse a rope without a model, and grippers that hold a link the rope lacks."""
@@ -140,6 +154,13 @@ class Scene:
                 f"scene {self.name!r} has cylinders, {len(self.grippers)} hands and "
                 f"{'no' if self.rope is None else 'a'} rope: expected one hand that pushes, and no rope"
             )
+        if self.arms and (self.grippers or self.rope is None or self.planar):
+            raise ValueError(
+                f"scene {self.name!r} has arms and {len(self.grippers)} free hands: expected arms alone, and "
+                "a rope in space"
+            )
+        if self.grasps and self.rope is None:
+            raise ValueError(f"scene {self.name!r} has grasps and no rope: expected something to grasp")
         for index, gripper in enumerate(self.grippers):
             if gripper.link is not None and not 0 <= gripper.link < self.links:
                 there = f"the rope's links are 0 to {self.links - 1}" if self.links else "there is no rope"
@@ -151,13 +172,15 @@ class Scene:
 
         Kinds of parts that came later count where there are any, so that data of before keep theirs.
         """
-        text = repr(self) + (repr(self.cylinders) if self.cylinders else "")
+        text = repr(self) + (repr(self.cylinders) if self.cylinders else "") + "grasps" * self.grasps
+        text += repr(self.arms) if self.arms else ""
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @cached_property
     def parts(self) -> "tuple[Part, ...]":
         """What the scene is made of, in the order in which it is added."""
         from doojax.simulation.parts.cylinders import Cylinders
+        from doojax.simulation.parts.grasps import Grasps
         from doojax.simulation.parts.surroundings import Floor, ObstacleBodies
 
         planar_rope = self.rope is not None and self.planar  # which cannot leave its plane
@@ -167,6 +190,7 @@ class Scene:
             *([self.rope_part] if self.rope is not None else []),
             self.driver,
             *([Cylinders(self.cylinders)] if self.cylinders else []),
+            *([Grasps(self.driver.bodies, self.driver.anchors, self.links)] if self.grasps else []),
         )
 
     @cached_property
@@ -179,10 +203,13 @@ class Scene:
         return Rope(self.rope_model, self.rope)
 
     @cached_property
-    def driver(self) -> "Hands":
+    def driver(self) -> "Hands | ArmBodies":
         """The part that actions move."""
+        from doojax.simulation.parts.arms import ArmBodies
         from doojax.simulation.parts.hands import Hands
 
+        if self.arms:
+            return ArmBodies(self.arms)
         return Hands(self.grippers, self.planar)
 
     @cached_property

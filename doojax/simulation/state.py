@@ -40,7 +40,10 @@ class SimState(eqx.Module):
 def at_rest(
     scene: Scene, qpos: Float[Array, "nq"], position: Float[Array, "B 3"], quaternion: Float[Array, "B 4"]
 ) -> SimState:
-    """All at rest, the rope held by every gripper, the B obstacle bodies at the given poses (m)."""
+    """All at rest, the B obstacle bodies at the given poses (m), the rope held by each gripper with a link.
+
+    Hands that may hold it anywhere hold nothing: see `doojax.simulation.grasps`.
+    """
     layout = scene.layout
     return SimState(
         qpos=qpos,
@@ -48,7 +51,7 @@ def at_rest(
         commanded=qpos[layout.driven],
         obstacle_position=position,
         obstacle_quaternion=quaternion,
-        holding=jnp.ones(len(layout.holds), dtype=bool),
+        holding=jnp.arange(len(layout.holds)) < len(layout.places[layout.driver].holds),
         faults=jnp.array(0, dtype=jnp.int32),
         model_fields={},
     )

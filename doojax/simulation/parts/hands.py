@@ -28,6 +28,16 @@ class Hands(Part):
         """Along which they move."""
         return "xy" if self.planar else "xyz"
 
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the hands' bodies."""
+        return tuple(hand_name(index) for index in range(len(self.grippers)))
+
+    @property
+    def anchors(self) -> tuple[tuple[float, float, float], ...]:
+        """Where on those they hold, m."""
+        return ((0.0, 0.0, 0.0),) * len(self.grippers)
+
     def add(self, spec: mujoco.MjSpec, scene: "Scene") -> None:
         """Add a body, its slides and position controllers, and the switchable hold on the rope, for each."""
         for index, gripper in enumerate(self.grippers):
