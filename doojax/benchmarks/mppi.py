@@ -8,7 +8,7 @@ is timed is one plan, and what counts is the cost of the 200 states that come of
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from rich.console import Console
 
+from doojax.benchmarks.arms import command_rows
 from doojax.benchmarks.medians import median_row
 from doojax.commands import command_line
 from doojax.experiments.reports import Row, publish_rows, row, show
@@ -31,10 +32,18 @@ SETTINGS = MppiSettings(samples=100, horizon=15, temperature=1.0, noise=10.0**0.
 TORQUE, SPEED, PERIOD = 2.0, 8.0, 0.05  # N m, rad/s, s
 
 
-def mppi(*, seeds: int = SEEDS, json: bool = False, publish: Path | None = None) -> None:
+def mppi(
+    task: Literal["pendulum", "arm_reaching"] = "pendulum",
+    /,
+    *,
+    seeds: int = SEEDS,
+    json: bool = False,
+    publish: Path | None = None,
+) -> None:
     """Measure milliseconds per plan and the cost of control, beside pytorch-mppi.
 
     Args:
+        task: pendulum; or arm_reaching, of which one command of the dual arm with a cable is timed alone.
         seeds: how many starts, at least 2.
         json: print the rows as JSON instead of a table.
         publish: the folder of results whose summary.json gets the figures, such as results/control; by
@@ -47,6 +56,11 @@ def mppi(*, seeds: int = SEEDS, json: bool = False, publish: Path | None = None)
     command = command_line(mppi, locals())
     if seeds < 2:
         raise ValueError(f"there are {seeds} seeds, expected at least 2")
+    if task == "arm_reaching":
+        rows = command_rows()
+        publish_rows(publish, command=command, seed=SEED, rows=rows)
+        show(rows, json)
+        return
     console = Console(stderr=True)
     planners: dict[str, Callable[[int], Plan]] = {"pytorch-mppi": theirs, "doojax": ours}
     controlled = {}

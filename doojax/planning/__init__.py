@@ -16,6 +16,7 @@ from doojax.planning.rrt import Rrt as Rrt
 from doojax.planning.rrt import search as search
 from doojax.planning.settings import RrtSettings as RrtSettings
 from doojax.planning.shortcut import shortened as shortened
+from doojax.planning.simulated import SimulatedRollouts as SimulatedRollouts
 from doojax.planning.simulated import simulated as simulated
 from doojax.planning.simulated import simulated_start as simulated_start
 from doojax.planning.tree import Plan as Plan

@@ -1,9 +1,11 @@
 """A simulator as dynamics: planning with the truth, which says what could be solved at all."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from doojax.models.protocols import Dynamics
 from doojax.modules import Jittable
@@ -54,6 +56,37 @@ class HostSimulated:
 def simulated(simulator: Simulator) -> Dynamics | HostDynamics:
     """The dynamics of any simulator: inside jit if it is a pytree, else in batches outside."""
     return Simulated(simulator) if isinstance(simulator, eqx.Module) else HostSimulated(simulator)
+
+
+class Tried(eqx.Module):
+    """What rollouts of MPPI led to, after each control."""
+
+    seen: Any  # [K, H, ...], such as a `doojax.types.RopeState`
+    faults: Int[Array, "K H"]  # see `doojax.simulation.state.Fault`
+    clearance: Float[Array, "K H"]  # m, see `doojax.types.Trajectory`
+    stretch: Float[Array, "K H"]
+
+
+class SimulatedRollouts:
+    """Rollouts for `doojax.planning.mppi` by a simulator, outside of jit; a control is a flat action.
+
+    Each control lasts one control period of the scene: samples' durations do not count.
+    """
+
+    def __init__(self, simulator: Simulator, action: tuple[int, ...]):
+        """Wrap ``simulator``, whose actions have the shape ``action``."""
+        self._simulator, self._action = simulator, action
+
+    def many(self, state: SimState, controls: Float[Array, "K H U"], durations: Float[Array, "K"]) -> Tried:
+        """See `doojax.planning.mppi.HostRollouts`."""
+        count, horizon = controls.shape[:2]
+        states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), state)
+        actions = controls.reshape(count, horizon, *self._action)
+        _, trajectory = self._simulator.rollout(states, actions)
+        seen, clearance, stretch = jax.tree.map(
+            lambda leaf: leaf[:, 1:], (trajectory.states, trajectory.clearance, trajectory.stretch)
+        )
+        return Tried(seen, trajectory.faults, clearance, stretch)
 
 
 def simulated_start(
