@@ -110,9 +110,9 @@ def test_a_tool_holds_the_rope_and_lets_it_go():
     assert gap < 2e-3  # and it hangs from there
     assert float(seen.state.points[:, 2].max()) == pytest.approx(BASE[2] + 0.2622, abs=0.02)
     free = released(SCENE, after, 0)
-    fallen = SIMULATOR.observe(rolled(free, np.zeros((2, 18))))
-    drop = float((seen.state.points - fallen.points).mean(0)[2])
-    assert drop == pytest.approx(0.5 * 9.81 * 0.4**2, rel=0.2)
+    fallen = SIMULATOR.observation(rolled(free, np.zeros((2, 18))))
+    assert float((seen.state.points - fallen.state.points).mean(0)[2]) > 0.04  # through a viscous medium
+    assert float(jnp.linalg.norm(rope_point(SCENE, fallen, place) - fallen.hands[0])) > 0.04
 
 
 def rolled_from(state, addresses, values):
