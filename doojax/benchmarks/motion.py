@@ -29,7 +29,7 @@ from doojax.robots import dual_arm, is_free, tool_poses
 
 SEED = 0
 QUERIES = 200
-ROUNDS = 5
+ROUNDS = 3
 BETWEEN = 20  # places between two waypoints that MuJoCo checks
 SETTINGS = MotionSettings()
 SPREAD = 1.5  # rad, of joints around zero; the torso's a third of it

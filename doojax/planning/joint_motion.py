@@ -1,7 +1,7 @@
 """Motions of a robot's joints past obstacles: many queries side by side, shortened, and timed.
 
 `plan_motions` searches (see `doojax.planning.joint_tree`), shortens what it finds and checks it once more,
-more densely than the search. `repaired_start` moves joints that begin in slight collision out of it, and
+at more places. `repaired_start` moves joints that begin in slight collision out of it, and
 `MotionPlan.at` says where joints are when.
 """
 
@@ -36,7 +36,7 @@ class MotionSettings:
     margin: float = 0.005  # m, to be kept from all that must not be touched
     farthest: float = FARTHEST  # rad, that a joint may move from where it starts
     waypoints: int = 64  # of a motion, at most
-    shortcuts: int = 32  # that are tried
+    shortcuts: int = 16  # that are tried
     lanes: int = 32  # queries that are searched at once; others wait for their turn
 
     def __post_init__(self):
@@ -148,9 +148,8 @@ def plan_motions(
     def is_waiting(trees: JointTrees) -> Bool[Array, "Q"]:
         return ~trees.done & (trees.steps < settings.steps) & queries.active.any(-1)
 
-    def advance(trees: JointTrees) -> JointTrees:
-        waiting = is_waiting(trees)
-        lanes = jnp.nonzero(waiting, size=min(settings.lanes, len(starts)), fill_value=len(starts))[0]
+    def advance(width: int, trees: JointTrees) -> JointTrees:
+        lanes = jnp.nonzero(is_waiting(trees), size=width, fill_value=len(starts))[0]
         query, tree, start, own = jax.tree.map(
             lambda leaf: leaf.at[lanes].get(mode="clip"), (queries, trees, starts, keys)
         )
@@ -163,7 +162,12 @@ def plan_motions(
         after = jax.vmap(one)(query, tree, start, own)
         return jax.tree.map(lambda all_, some: all_.at[lanes].set(some, mode="drop"), trees, after)
 
-    trees = jax.lax.while_loop(lambda trees: is_waiting(trees).any(), advance, trees)
+    # Lanes that wait for nobody compute all the same: the last few queries get fewer lanes.
+    width, few = min(settings.lanes, len(starts)), settings.lanes // 8
+    for lanes, left in ((width, few), (few, 0)) if 0 < few < width else ((width, 0),):
+        trees = jax.lax.while_loop(
+            lambda trees, left=left: is_waiting(trees).sum() > left, partial(advance, lanes), trees
+        )
     return jax.lax.map(
         lambda query: _finished(planner, *query), (trees, starts, keys), batch_size=settings.lanes
     )
@@ -213,12 +217,12 @@ def _shortened(
 ) -> tuple[Float[Array, "W J"], Int[Array, ""], Bool[Array, ""]]:
     """Without waypoints between two that a straight line joins; and whether all that is left is free.
 
-    Lines are checked at least twice as densely as in the search; one too long for that is no shortcut. What
-    is left need keep no margin.
+    Shortcuts are checked as densely as lines are in the search, and those once more at twice the places. A
+    line too long for that is no shortcut. What is left need keep no margin.
     """
     place, shortcuts = jnp.arange(len(path)), settings.shortcuts
-    fractions = jnp.linspace(0, 1, 6 * settings.points + 1)[:, None]
-    longest = 3 * settings.points * settings.step
+    fractions = jnp.linspace(0, 1, 2 * settings.points + 1)[:, None]
+    longest = 2 * settings.points * settings.step
 
     def attempt(number: Array, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         path, count, whole = now

@@ -82,13 +82,18 @@ def grown(
 
 
 def _drawn(query: MotionQuery, trees: JointTrees, there: Array, key: Array) -> Float[Array, "J"]:
-    """Joints within the bounds; at first, and now and then, a root of the other tree."""
+    """Joints within the bounds; every other time the other tree's last, so that a way that is begun goes on.
+
+    At first, and now and then, it is a root of the other tree.
+    """
     for_joints, for_root, for_choice = jax.random.split(key, 3)
     joints = jax.random.uniform(for_joints, query.start.shape, query.start.dtype, query.low, query.high)
     likely = jnp.where(query.active, 0.0, -jnp.inf)
     root = jnp.where(there == 0, 0, jax.random.categorical(for_root, likely))
-    straight = (trees.steps < 2) | (jax.random.uniform(for_choice) < 0.1)
-    return jnp.where(straight, trees.joints[there, root], joints)
+    choice = jax.random.uniform(for_choice)
+    to_root = (trees.steps < 2) | (choice < 0.05)
+    node = jnp.where(to_root, root, trees.count[there] - 1)
+    return jnp.where(to_root | (choice < 0.5), trees.joints[there, node], joints)
 
 
 def _nearest(trees: JointTrees, tree: Array, joints: Float[Array, "J"]) -> Int[Array, ""]:

@@ -40,7 +40,7 @@ POST = Obstacles(
     jnp.array([[0.05, 0.05, 0.5]]),
     jnp.ones(1, bool),
 )
-SETTINGS = MotionSettings(steps=300, nodes=128, points=8, waypoints=48, shortcuts=30, lanes=4)
+SETTINGS = MotionSettings(steps=300, nodes=128, points=10, waypoints=48, shortcuts=30, lanes=4)
 PLANNER = MotionPlanner(ROBOT, POST, (0, 1), settings=SETTINGS)
 KEY = jax.random.key(0)
 # beside the post to its other side; nothing in the way; a goal inside the post; one beyond the limits
