@@ -6,7 +6,7 @@ and batch it with `jax.vmap`.
 """
 
 from enum import IntEnum
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -32,11 +32,42 @@ class Motion(Protocol):
         ...
 
 
+@runtime_checkable
+class State(Protocol):
+    """What a planner or a learner sees of the world: a pytree of arrays, such as `RopeState`.
+
+    Batch axes come first, and a state of one element has none. Whatever has a place is a body, a point of it
+    at least; what moves by itself or is moved by others stands before what actions command.
+    """
+
+    @property
+    def passive(self) -> int:
+        """How many of the bodies no action commands: those by which predictions are judged."""
+        ...
+
+    def bodies(self) -> Float[Array, "*b K 3"]:
+        """Where all bodies are, world frame, metres; the passive ones first."""
+        ...
+
+    def moved(self, motion: Motion) -> "State":
+        """The same state elsewhere."""
+        ...
+
+
 class RopeState(eqx.Module):
     """What a planner or a learner sees of the world: points along the rope and the grippers' positions."""
 
     points: Float[Array, "*b N 3"]  # world frame, metres; index 0 is the rope's first link
     grippers: Float[Array, "*b G 3"]  # world frame, metres
+
+    @property
+    def passive(self) -> int:
+        """The rope's points."""
+        return self.points.shape[-2]
+
+    def bodies(self) -> Float[Array, "*b NG 3"]:
+        """The rope's points and then the grippers, metres."""
+        return jnp.concatenate([self.points, self.grippers], axis=-2)
 
     def moved(self, motion: Motion) -> "RopeState":
         """The same rope, held alike, elsewhere."""
@@ -49,6 +80,11 @@ class PushingState(eqx.Module):
     positions: Float[Array, "*b N 3"]  # of their centres, world frame, metres
     velocities: Float[Array, "*b N 3"]  # m/s
     hand: Float[Array, "*b 3"]  # world frame, metres
+
+    @property
+    def passive(self) -> int:
+        """All but the hand."""
+        return self.positions.shape[-2]
 
     def bodies(self) -> Float[Array, "*b K 3"]:
         """All places: the bodies', then the hand's."""
@@ -82,10 +118,18 @@ class Obstacles(eqx.Module):
 class Transition(eqx.Module):
     """One predicted step: what an action is thought to do."""
 
-    state: RopeState  # itself predicted, but for the first of a plan
-    action: Float[Array, "*b G 3"]  # gripper displacements, metres
-    next_state: RopeState  # the prediction
+    state: Any  # a State, itself predicted, but for the first of a plan
+    action: Float[Array, "..."]  # such as gripper displacements, metres; batch axes first
+    next_state: Any  # a State: the prediction
     uncertainty: Float[Array, "*b"]  # the dynamics model's second result, see doojax.models.protocols
+
+
+class Judgement(NamedTuple):
+    """What a judge of transitions says of one, see doojax.models.protocols."""
+
+    score: Float[Array, "*b"]  # in the judge's own unit
+    accepted: Bool[Array, "*b"]
+    possible: Bool[Array, "*b"]  # false where it contradicts physics: then it is not accepted by luck, either
 
 
 class Trajectory(eqx.Module):

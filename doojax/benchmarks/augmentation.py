@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from doojax.actions import sampled
 from doojax.augmentation.ropes import Augmented, RopeExamples, Setting, augment
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
@@ -77,7 +78,7 @@ def augmentation(
 
 def measured(task: Task, count: int, seed: int) -> list[Row]:
     """All rows of one task."""
-    simulator = task.simulator("mujoco", "constrained")
+    simulator = task.simulator("mujoco")
     starts, examples = drawn(task, simulator, count, seed)
     setting = Setting.of(task)
     keys = numbered(stream(seed, "bench", "augment", "targets"), range(count))
@@ -106,9 +107,7 @@ def measured(task: Task, count: int, seed: int) -> list[Row]:
 def drawn(task: Task, simulator: Simulator, count: int, seed: int) -> tuple[SimState, RopeExamples]:
     """Transitions within random trajectories, and the states that they were simulated from."""
     start_key, action_key = (stream(seed, "bench", "augment", name) for name in ("starts", "actions"))
-    _, starts, _ = random_trajectories(
-        task, simulator, numbered(start_key, range(count)), BEFORE, "constrained"
-    )
+    _, starts, _ = random_trajectories(task, simulator, numbered(start_key, range(count)), BEFORE)
     rope, none = simulator.observations(starts).state, jnp.zeros((count, task.grippers, 3))
     actions = _actions(task, numbered(action_key, range(count)), rope, none)
     _, trajectory = simulator.rollout(starts, actions[:, None])
@@ -173,6 +172,6 @@ def _moved(task: Task, starts: SimState, examples: RopeExamples, parameters: Arr
 @eqx.filter_jit
 def _actions(task: Task, keys: Array, ropes: RopeState, previous: Array) -> Array:
     def one(key, rope, before):
-        return task.sample_action(key, rope, before, "constrained")
+        return sampled(task.actions, key, rope, before)
 
     return jax.vmap(one)(keys, ropes, previous)

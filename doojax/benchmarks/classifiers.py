@@ -83,7 +83,7 @@ def drawn(task: Task, count: int, *, key: Array) -> tuple[Obstacles, Transition]
     start_key, action_key = jax.random.split(key)
     starts: SimState = jax.jit(jax.vmap(simulator.reset))(jax.random.split(start_key, count))
     state: RopeState = simulator.observations(starts).state
-    actions = jax.vmap(task.draw_action)(jax.random.split(action_key, count))
+    actions = jax.vmap(task.actions.draw)(jax.random.split(action_key, count))
     after = RopeState(state.points + actions.mean(1, keepdims=True), state.grippers + actions)
     return jax.vmap(simulator.obstacles)(starts), Transition(state, actions, after, jnp.full(count, 0.01))
 
@@ -136,7 +136,7 @@ def rows_of(task: str, seconds: Mapping[Name, np.ndarray]) -> list[Row]:
 
 @eqx.filter_jit
 def _judge(model: Any, obstacles: Obstacles, batch: Transition) -> Array:
-    return jax.vmap(model)(obstacles, batch.state, batch.action, batch.next_state, batch.uncertainty)
+    return jax.vmap(model)(obstacles, batch).score
 
 
 def _judge_and_wait(model: Any, obstacles: Obstacles, batch: Transition) -> Array:

@@ -46,7 +46,7 @@ def collection(
     for phase in ("unconstrained", "constrained"):
         wanted = TRAJECTORIES[task][phase]
         made = max(round(wanted * share), SHARD_SIZE)
-        states = make_task(task).trajectory_states[phase]
+        states = make_task(task, phase=phase).trajectory_states
         with tempfile.TemporaryDirectory() as temporary:
             folder = (keep or Path(temporary)) / f"{task}_{phase}"
             if folder.exists():

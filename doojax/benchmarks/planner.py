@@ -40,14 +40,13 @@ from doojax.simulation.state import SimState, at_rest
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
 from doojax.tasks.toy import ToySimulator
-from doojax.types import Obstacles, RopeState
+from doojax.types import Obstacles, RopeState, Transition
 
 SEED = 0
 SCENES = 20
 ROUNDS = 5  # in which all scenes are planned
 SETTINGS = RrtSettings()
 THESIS = RrtSettings(goal_bias=0.05, duration=49, candidates=1)
-LONGEST = {"toy": 0.1, "rope_dragging": 0.15, "dual_gripper": 0.1}  # m, of an action
 
 
 class Found(NamedTuple):
@@ -192,7 +191,8 @@ class Ompl:
 
         util.setLogLevel(util.LOG_ERROR)
         util.RNG.setSeed(1 + SEED)
-        self._task, self._settings = ours.task, ours.settings
+        self._task: Any = ours.task
+        self._settings = ours.settings
         self._step = jax.jit(partial(_transition, ours))
 
     def solve(self, problem: Problem) -> Found:
@@ -217,7 +217,7 @@ class Ompl:
         space.addSubspace(number, 0.0)
         angles = len(axes) - 1
         controls = control.RealVectorControlSpace(space, task.grippers * len(axes))
-        ends = ([-np.pi] * angles + [0.0], [np.pi] * angles + [LONGEST[task.name]])
+        ends = ([-np.pi] * angles + [0.0], [np.pi] * angles + [task.actions.longest])
         controls.setBounds(_bounds(base, *(np.tile(end, task.grippers) for end in ends)))
 
         def put(state: Any, index: int, values: np.ndarray) -> None:
@@ -344,12 +344,12 @@ def _transition(
         direction = [jnp.cos(pitch) * jnp.cos(yaw), jnp.cos(pitch) * jnp.sin(yaw), jnp.sin(pitch)]
     action = length[:, None] * jnp.stack(direction, axis=-1)
     after, uncertainty = ours.dynamics(obstacles, state, action)  # pyright: ignore[reportCallIssue]
-    score = ours.reliability(obstacles, state, action, after, uncertainty)
-    valid = ours.task.valid_action(state, action, "constrained")
-    return after, valid & (score > ours.reliability.threshold), _features(ours.task, after)
+    found = ours.reliability(obstacles, Transition(state, action, after, uncertainty))
+    valid = ours.task.actions.valid(state, action)
+    return after, valid & found.accepted, _features(ours.task, after)
 
 
-def _features(task: Task, state: RopeState) -> Float[Array, "S 3"]:
+def _features(task: Any, state: RopeState) -> Float[Array, "S 3"]:
     return jnp.concatenate([state.points[task.goal_point][None], state.grippers])
 
 

@@ -102,10 +102,10 @@ def sampled_states(task: Task, contact: bool, count: int) -> tuple[SimState, jax
     Raises:
         RuntimeError: if none of the random trajectories ends in contact.
     """
-    phase = "constrained" if contact else "unconstrained"
-    simulator = task.simulator("mujoco", phase)
+    task = make_task(task.name, phase="constrained" if contact else "unconstrained")
+    simulator = task.simulator("mujoco")
     keys = numbered(stream(SEED, "bench", "rollouts"), range(SAMPLES))
-    _, last, seen = random_trajectories(task, simulator, keys, PERIODS, phase)
+    _, last, seen = random_trajectories(task, simulator, keys, PERIODS)
     wanted = np.asarray(seen.clearance[:, -1]) < TOUCHING if contact else np.ones(SAMPLES, dtype=bool)
     if not wanted.any():
         raise RuntimeError(f"no random trajectory of {task.name} ended in contact")

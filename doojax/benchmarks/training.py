@@ -23,7 +23,7 @@ from doojax.commands import command_line
 from doojax.experiments.reports import Row, publish_rows, show
 from doojax.keys import stream
 from doojax.learning.data import Trajectories
-from doojax.learning.fit import FitConfig, epoch, learning_rates, start
+from doojax.learning.fit import FitConfig, epoch, start
 from doojax.learning.losses import DynamicsProblem
 from doojax.learning.presets import PresetName, dynamics_preset
 from doojax.simulation.scenes import obstacles_at, parked_poses
@@ -56,7 +56,7 @@ def training(*, task: str = "rope_dragging", json: bool = False, publish: Path |
         ValueError: for an unknown task.
     """
     command = command_line(training, locals())
-    the_task = make_task(task)
+    the_task = make_task(task, phase="unconstrained")
     presets = [(preset, preset) for preset in get_args(PresetName)]
     rows = [one for preset in stages(f"{task}, preset", presets) for one in measure(the_task, preset)]
     publish_rows(publish, command=command, seed=SEED, rows=rows)
@@ -67,7 +67,7 @@ def measure(task: Task, preset: PresetName) -> list[Row]:
     """Rates and ratios for one preset's network, batch size and learning rate."""
     chosen = dynamics_preset(preset, task)
     steps = STEPS[preset]
-    periods = task.trajectory_states["unconstrained"] - 1
+    periods = task.trajectory_states - 1
     train = random_trajectories(
         task, steps * chosen.fit.batch_size, periods, key=stream(SEED, "bench", "trajectories")
     )
@@ -127,7 +127,7 @@ def our_epochs(problem: DynamicsProblem, config: FitConfig) -> Callable[[int], N
     def run(number: int) -> None:
         nonlocal state
         keys = jax.random.split(jax.random.fold_in(key, number), config.members)
-        settings = (problem, static, None, keys, config, jnp.array(number))
+        settings = (problem, static, None, keys, config)
         state, measured = epoch(settings, state)
         jax.block_until_ready((state, measured))
 
@@ -139,19 +139,17 @@ def flax_epochs(problem: DynamicsProblem, config: FitConfig) -> Callable[[int], 
     from doojax.benchmarks.flax_peer import peer_state, peer_step
 
     key = stream(SEED, "bench", "training")
-    steps = len(problem.train) // config.batch_size
-    numbers = jnp.arange(1, 1 + config.epochs)
-    rates = jax.vmap(lambda number: learning_rates(config, number, steps))(numbers).reshape(-1)
+    steps = len(problem.trajectories) // config.batch_size
     rate: float | optax.Schedule = config.learning_rate
     if config.schedule != "constant":
-        rate = lambda count: rates[count]  # noqa: E731
+        rate = optax.cosine_decay_schedule(config.learning_rate, config.epochs * steps)
     state, constants = peer_state(problem.init(None, key=jax.random.fold_in(key, 0)), rate)
 
     def run(number: int) -> None:
         nonlocal state
         epoch_key = jax.random.fold_in(key, number)
         for rows in problem.batches(None, config.batch_size, key=epoch_key):
-            state, _ = peer_step(state, constants, problem.train, rows)
+            state, _ = peer_step(state, constants, problem.trajectories, rows)
         jax.block_until_ready(state.params)
 
     return run

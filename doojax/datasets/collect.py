@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from rich.console import Console
 
+from doojax.actions import ActionSpace, nothing_of, sampled
 from doojax.commands import COMMANDS, command_line, load
 from doojax.datasets.manifest import Field, Manifest
 from doojax.datasets.progress import progress_bar
@@ -22,11 +23,18 @@ from doojax.keys import check_seed, numbered, stream
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks import make_task
-from doojax.tasks.base import Phase, Task, check_phase
+from doojax.tasks.base import Phase, Task, observed
 from doojax.tasks.ropes import OWN, OtherRope, with_rope
-from doojax.types import Obstacles, RopeState, Trajectory
+from doojax.types import Obstacles, State, Trajectory
 
 SHARD_SIZE = 64
+STATES = {  # units and meanings of the fields of states
+    "points": ("m", "centres of the rope's links, world frame"),
+    "grippers": ("m", "gripper positions, world frame"),
+    "positions": ("m", "centres of what is pushed, world frame"),
+    "velocities": ("m/s", "their velocities"),
+    "hand": ("m", "position of the hand, world frame"),
+}
 
 
 def collect(
@@ -61,9 +69,8 @@ def collect(
         ValueError: for an unknown task or engine, counts too small, or a folder that holds other data.
     """
     check_seed(seed)
-    the_task = with_rope(make_task(task), rope)
-    check_phase(phase)
-    states = the_task.trajectory_states[phase] if states is None else states
+    the_task = with_rope(make_task(task, phase=phase), rope)
+    states = the_task.trajectory_states if states is None else states
     if trajectories < 1:
         raise ValueError(f"trajectories is {trajectories}, expected at least 1")
     if states < 2:
@@ -76,7 +83,7 @@ def collect(
         "states": states,
         "engine": engine,
         "seed": seed,
-        "stream": "/".join(_stream_names(the_task, phase)),
+        "stream": "/".join(_stream_names(the_task)),
         **({"rope": rope.given} if rope.given else {}),
     }
     with alone_in(out):
@@ -85,7 +92,7 @@ def collect(
         )
         console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
         if writer.missing_shards():
-            faulty = _write_missing(writer, the_task, phase, engine, seed, states, console)
+            faulty = _write_missing(writer, the_task, engine, seed, states, console)
             console.print(f"{trajectories} trajectories of {states} states in {out}")
             if faulty:
                 console.print(f"{faulty} of them have faults: see doojax inspect {out}", style="yellow")
@@ -93,22 +100,22 @@ def collect(
             console.print(f"{out} is complete already: {trajectories} trajectories")
 
 
-def _stream_names(task: Task, phase: Phase) -> tuple[str, ...]:
-    return "collect", task.name, phase
+def _stream_names(task: Task) -> tuple[str, ...]:
+    return "collect", task.name, task.phase
 
 
 def _write_missing(
-    writer: DatasetWriter, the_task: Task, phase: Phase, engine: str, seed: int, states: int, console: Console
+    writer: DatasetWriter, the_task: Task, engine: str, seed: int, states: int, console: Console
 ) -> int:
     """Simulate and write what is missing; the number of trajectories that have a fault."""
     missing, faulty = writer.missing_shards(), 0
-    simulator = the_task.simulator(engine, phase)
+    simulator = the_task.simulator(engine)
     rows = [writer.manifest.rows(shard) for shard in missing]
     with progress_bar(console) as progress:
         bar = progress.add_task(f"{the_task.name} on {engine}", total=sum(len(row) for row in rows), note="")
         for shard, row in zip(missing, rows, strict=True):
-            keys = numbered(stream(seed, *_stream_names(the_task, phase)), row)
-            start, _, trajectory = random_trajectories(the_task, simulator, keys, states - 1, phase)
+            keys = numbered(stream(seed, *_stream_names(the_task)), row)
+            start, _, trajectory = random_trajectories(the_task, simulator, keys, states - 1)
             _require_room(start, row)
             writer.write(shard, stored_arrays(simulator, start, trajectory, np.array(row)))
             faulty += int(np.any(np.asarray(trajectory.faults) != 0, axis=1).sum())
@@ -147,20 +154,21 @@ def _augmentation_of(config: dict[str, Any], out: Path) -> str:
 
 
 def random_trajectories(
-    task: Task, simulator: Simulator, keys: Array, periods: int, phase: Phase
+    task: Task, simulator: Simulator, keys: Array, periods: int
 ) -> tuple[SimState, SimState, Trajectory]:
     """One trajectory of random actions for each of B ``keys``: first and last states, and what was seen."""
     start_keys, action_keys = jax.vmap(jax.random.split, out_axes=1)(keys)
     start = state = _in_shards(partial(_starts, simulator), start_keys)
-    rope = simulator.observations(state).state
-    action = jnp.zeros((keys.shape[0], task.grippers, 3))
+    seen = observed(simulator, state)
+    nothing = nothing_of(task.actions)
+    action = jnp.zeros((keys.shape[0], *nothing.shape), nothing.dtype)
     parts = []
     for period in range(periods):
-        draw = partial(_actions, task, phase, jnp.asarray(period))
-        action = _in_shards(draw, action_keys, rope, action)
+        draw = partial(_actions, task.actions, jnp.asarray(period))
+        action = _in_shards(draw, action_keys, seen, action)
         action = jnp.where(jnp.isfinite(action), action, 0.0)  # of a rope that blew up: its fault says so
         state, part = simulator.rollout(state, action[:, None])
-        rope = jax.tree.map(lambda leaf: leaf[:, -1], part.states)
+        seen = jax.tree.map(lambda leaf: leaf[:, -1], part.states)
         parts.append(part)
     return start, state, joined(parts)
 
@@ -180,12 +188,12 @@ def _starts(simulator: Simulator, keys: Array) -> SimState:
 
 @eqx.filter_jit
 def _actions(
-    task: Task, phase: Phase, period: Int[Array, ""], keys: Array, ropes: RopeState, previous: Array
-) -> Float[Array, "B G 3"]:
-    def one(key, rope, before):
-        return task.sample_action(jax.random.fold_in(key, period), rope, before, phase)
+    space: ActionSpace, period: Int[Array, ""], keys: Array, states: State, previous: Array
+) -> Float[Array, "B ..."]:
+    def one(key, state, before):
+        return sampled(space, jax.random.fold_in(key, period), state, before)
 
-    return jax.vmap(one)(keys, ropes, previous)
+    return jax.vmap(one)(keys, states, previous)
 
 
 def joined(parts: list[Trajectory]) -> Trajectory:
@@ -209,13 +217,17 @@ def joined(parts: list[Trajectory]) -> Trajectory:
 def schema(task: Task, periods: int) -> dict[str, Field]:
     """The fields of a data set of ``task`` with ``periods`` actions a trajectory."""
     scene, t = task.scene, periods
-    links, grippers, bodies = scene.links, task.grippers, len(scene.obstacles)
+    bodies, action = len(scene.obstacles), nothing_of(task.actions).shape
     shapes = sum(len(obstacle.shapes) for obstacle in scene.obstacles)
+    commanded = (task.grippers, 2 if scene.planar else 3)
     nan = {"may_be_missing": True}  # in a simulation that blew up
+    states = {
+        name: Field((t + 1, *value.shape), "float32", *STATES.get(name, ("1", name)), **nan)
+        for name, value in vars(task.blank).items()
+    }
     return {
-        "points": Field((t + 1, links, 3), "float32", "m", "centres of the rope's links, world frame", **nan),
-        "grippers": Field((t + 1, grippers, 3), "float32", "m", "gripper positions, world frame", **nan),
-        "actions": Field((t, grippers, 3), "float32", "m", "commanded gripper displacements"),
+        **states,
+        "actions": Field((t, *action), "float32", "m", "what was commanded, such as displacements"),
         "faults": Field((t,), "int32", "1", "bits of doojax.simulation.Fault"),
         "clearance": Field((t + 1,), "float32", "m", "least distance to an obstacle, negative inside", **nan),
         "stretch": Field((t + 1,), "float32", "1", "excess of the rope's length, as a fraction", **nan),
@@ -228,9 +240,7 @@ def schema(task: Task, periods: int) -> dict[str, Field]:
         "body_quaternion": Field((bodies, 4), "float32", "1", "obstacle bodies, for replay"),
         "initial_qpos": Field((scene.nq,), "float32", "m, rad", "positions at the start, for replay"),
         "initial_qvel": Field((scene.nv,), "float32", "m/s, rad/s", "velocities at the start, for replay"),
-        "initial_commanded": Field(
-            (grippers, 2 if scene.planar else 3), "float32", "m", "where grippers had been sent, for replay"
-        ),
+        "initial_commanded": Field(commanded, "float32", "m", "where grippers had been sent, for replay"),
         "environment": Field((), "int32", "1", "trajectories with the same number share a scene"),
     }
 
@@ -240,10 +250,9 @@ def stored_arrays(
 ) -> dict[str, np.ndarray]:
     """The values of the `schema`'s fields for a batch of trajectories with these ``numbers``."""
     obstacles: Obstacles = jax.vmap(simulator.obstacles)(start)
-    states: RopeState = trajectory.states
+    states = vars(trajectory.states)
     values = {
-        "points": states.points,
-        "grippers": states.grippers,
+        **states,
         "actions": trajectory.actions,
         "faults": trajectory.faults,
         "clearance": trajectory.clearance,
@@ -257,7 +266,7 @@ def stored_arrays(
         "environment": numbers.astype(np.int32),
     }
     arrays = {name: np.array(value) for name, value in values.items()}
-    for name in ("points", "grippers", "clearance", "stretch"):
+    for name in (*states, "clearance", "stretch"):
         arrays[name][~np.isfinite(arrays[name])] = np.nan  # no value: the fault says why
     return arrays
 

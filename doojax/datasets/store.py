@@ -267,22 +267,21 @@ class Dataset:
             raise ValueError(f"the {name} split is empty: {scenes} scenes are too few, collect 10 or more")
         return splits[name]
 
-    def rope_states(self, indices: Indices) -> RopeState:
-        """Rope states: points [k, T+1, N, 3] and grippers [k, T+1, G, 3], metres."""
-        return RopeState(
-            points=jnp.asarray(self["points"][indices]), grippers=jnp.asarray(self["grippers"][indices])
-        )
+    def states(self, indices: Indices, kind: type[Any] = RopeState) -> Any:
+        """States [k, T+1] of a type whose fields are the data set's, such as a rope's points and grippers."""
+        names = [one.name for one in dataclasses.fields(kind)]
+        return kind(**{name: jnp.asarray(self[name][indices]) for name in names})
 
     def obstacles(self, indices: Indices) -> Obstacles:
         """The obstacles [k, M] of each trajectory's scene."""
         names = ("kind", "centre", "quaternion", "half_size", "active")
         return Obstacles(**{name: jnp.asarray(self[f"obstacle_{name}"][indices]) for name in names})
 
-    def trajectories(self, indices: Indices) -> Trajectory:
-        """Each trajectory's states and all else that a `Trajectory` holds."""
+    def trajectories(self, indices: Indices, kind: type[Any] = RopeState) -> Trajectory:
+        """Each trajectory's states, of the type named, and all else that a `Trajectory` holds."""
         names = [one.name for one in dataclasses.fields(Trajectory) if one.name != "states"]
         return Trajectory(
-            states=self.rope_states(indices), **{name: jnp.asarray(self[name][indices]) for name in names}
+            states=self.states(indices, kind), **{name: jnp.asarray(self[name][indices]) for name in names}
         )
 
     def zarr_array(self, name: str) -> zarr.Array:

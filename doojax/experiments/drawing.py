@@ -1,7 +1,7 @@
 """How planners, learners and trials show what they do without knowing a viewer.
 
-Pass a `Drawing` to whatever has something to show, `NullDrawing` where nobody looks. The viewer implements
-`Drawing` twice: in the web page and as pictures.
+Pass a `Drawing` to whatever has something to show. The viewer implements it twice: in the web page and as
+pictures.
 
 Names are paths: "plan/tree" lies below "plan". Lengths are metres, in the world frame with z up; quaternions
 are (w, x, y, z); a colour is (red, green, blue) from 0 to 255.
@@ -91,34 +91,3 @@ class Drawing(Protocol):
     def remove(self, name: str) -> None:
         """Take away what a name and the names below it show; nothing happens if that is nothing."""
         ...
-
-
-class NullDrawing:
-    """A `Drawing` that shows nothing."""
-
-    def rope(self, name, points, *, radius, colour, opacity=1.0) -> None:
-        """Nothing."""
-
-    def spheres(self, name, centres, *, radius, colours, opacity=1.0) -> None:
-        """Nothing."""
-
-    def points(self, name, points, *, size, colours) -> None:
-        """Nothing."""
-
-    def lines(self, name, segments, *, width, colours) -> None:
-        """Nothing."""
-
-    def cones(self, name, segments, *, radius, colours) -> None:
-        """Nothing."""
-
-    def obstacles(self, name, obstacles, *, colour, opacity=1.0) -> None:
-        """Nothing."""
-
-    def axes(self, name, position, quaternion, *, length=0.1) -> None:
-        """Nothing."""
-
-    def text(self, name, text, position) -> None:
-        """Nothing."""
-
-    def remove(self, name) -> None:
-        """Nothing."""

@@ -25,6 +25,7 @@ from doojax.learning.metrics import Counts, auroc, counts, expected_calibration_
 from doojax.learning.reliability import judged_kept, require_both_classes
 from doojax.learning.train import ALPHAS
 from doojax.models import Always, CollisionChecker
+from doojax.models.rolling import roll_out
 from doojax.types import Obstacles, RopeState
 
 UNLEARNED = {"always": Always, "collision_checker": CollisionChecker}
@@ -122,13 +123,8 @@ def prediction_errors(model: Any, data: Trajectories) -> Float[np.ndarray, "K T 
 
     def one(states: RopeState, actions: Array, obstacles: Obstacles) -> Array:
         first = jax.tree.map(lambda leaf: leaf[0], states)
-
-        def step(state: RopeState, action: Array):
-            after, _ = model(obstacles, state, action)
-            return after, after.points
-
-        _, points = jax.lax.scan(step, first, actions)
-        return jnp.linalg.norm(points - states.points[1:], axis=-1)
+        predicted, _ = roll_out(model, obstacles, first, actions)
+        return jnp.linalg.norm((predicted.points - states.points)[1:], axis=-1)
 
     every = eqx.filter_jit(
         lambda: jax.lax.map(lambda x: one(*x), (data.states, data.actions, data.obstacles), batch_size=64)
@@ -159,11 +155,11 @@ def classifier_rows(
         seed: of the intervals, for which whole trajectories are drawn anew: only they are independent.
         picture: where to draw how far probabilities are from frequencies.
     """
-    values, right = judged_kept(judge, examples, obstacles, threshold)
-    scores = values.astype(np.float64)
+    judgements, right = judged_kept(judge, examples, obstacles, threshold)
+    scores, accepted = judgements.score.astype(np.float64), judgements.accepted
     trajectory = np.asarray(examples.trajectory)[np.asarray(examples.kept(threshold))]
-    limit, n = float(judge.threshold), len(right)
-    found, drawn = counts(scores > limit, right), resampled(trajectory, scores > limit, right, seed)
+    n = len(right)
+    found, drawn = counts(accepted, right), resampled(trajectory, accepted, right, seed)
     rows = [row("right_fraction", tags, right.mean(), "", n=n)]
     for name in ("accuracy", "precision", "recall", "specificity"):
         interval = _interval(getattr(drawn, name))

@@ -18,10 +18,10 @@ from doojax.experiments.scenes import FOLDER, load_scenes
 from doojax.experiments.seen import check_unseen, warning_of
 from doojax.experiments.trial import Trials, TrialSettings, run_trials
 from doojax.keys import check_seed, stream
-from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem, gripper_goal, point_goal
+from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import SimState, Simulator
-from doojax.tasks import make_task
+from doojax.tasks import gripper_goal, make_task, point_goal
 from doojax.tasks.base import Task
 from doojax.tasks.ropes import OWN, OtherRope, carrying, with_rope
 
@@ -136,7 +136,7 @@ def _scene(
         begin = with_rope(task, rope).simulator("mujoco") if rope.given else simulator
         alone = jax.tree.map(lambda leaf: leaf[None], begin.reset(start_key))
         start = jax.tree.map(lambda leaf: leaf[0], carrying(task, alone, rope))
-        goal = point_goal(task, task.sample_goal(goal_key, simulator.obstacles(start)))
+        goal = task.sample_goal(goal_key, simulator.obstacles(start))
         return start, goal, ("plan", seed)
     known = load_scenes(FOLDER / f"{task.name}.scenes")
     if not 0 <= scene < len(known):

@@ -40,11 +40,14 @@ class Look:
     @classmethod
     def of(cls, scene: Scene) -> "Look":
         """The sizes of what is in a scene."""
+        hands = max(gripper.radius for gripper in scene.grippers)
+        if scene.rope is None:
+            return cls(scene.plane_height, gripper_radius=hands, floor=0.0 if scene.floor else None)
         half_link = scene.rope_part.parameters.length / scene.links / 2
         return cls(
             rope_radius=scene.rope_part.parameters.radius,
             rope_end=0.0 if scene.rope_part.model.kind == "point_masses" else half_link,
-            gripper_radius=max(gripper.radius for gripper in scene.grippers),
+            gripper_radius=hands,
             floor=0.0 if scene.floor else None,
         )
 

@@ -19,14 +19,15 @@ from rich.table import Table
 
 from doojax.datasets.collect import random_trajectories
 from doojax.experiments.difficulty import difficulty as measured
+from doojax.experiments.records import Look
 from doojax.experiments.statistics import bootstrap
 from doojax.files import whole_file
 from doojax.keys import numbered, stream
-from doojax.planning import Goal, point_goal
+from doojax.planning import Goal
 from doojax.reading import NumberKind, checked, read_arrays, require_arrays
 from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
-from doojax.tasks.base import Task
+from doojax.tasks.base import Task, observed
 from doojax.tasks.ropes import OWN, OtherRope, carrying, with_rope
 
 VERSION = 2  # raise it when scenes of the same seed become others
@@ -176,7 +177,7 @@ def draw_scenes(
     reset = jax.jit(jax.vmap(simulator.reset))
     aim = jax.jit(jax.vmap(task.sample_goal))
     root = stream(seed, *stream_names(task.name, difficulty, caught))
-    radius = task.scene.rope_part.parameters.radius
+    radius = Look.of(task.scene).rope_radius
     widest = NARROW * radius if difficulty == "narrow" else np.inf
     parts: list[Any] = []
     found = drawn = 0
@@ -192,13 +193,12 @@ def draw_scenes(
         else:
             starts, held = reset(start_keys), np.ones(DRAWN, dtype=bool)
         obstacles = jax.vmap(simulator.obstacles)(starts)
-        places = aim(goal_keys, obstacles)
-        begin = np.asarray(simulator.observations(starts).state.points)[:, task.goal_point]
-        sizes = measured(obstacles, begin, np.asarray(places), task.workspace)
+        goals = aim(goal_keys, obstacles)
+        begin = np.asarray(observed(simulator, starts).bodies())[:, task.goal_point]
+        sizes = measured(obstacles, begin, np.asarray(goals.targets)[:, 0], task.workspace)
         hard = held & (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > radius)
         hard &= sizes["bottleneck"] <= widest
         hard &= (np.asarray(starts.faults) & int(Fault.SCENE_OVERFULL)) == 0
-        goals = jax.vmap(lambda place: point_goal(task, place))(places)
         parts.append(jax.tree.map(lambda leaf, h=hard: np.asarray(leaf)[h], (starts, goals, sizes)))
         found, drawn = found + int(hard.sum()), drawn + DRAWN
     starts, goals, sizes = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
@@ -301,9 +301,9 @@ def _check_arrays(task: Task, stored: dict[str, np.ndarray]) -> None:
         "start/qvel": ("float", (*count, scene.nv)),
         "start/obstacle_position": ("float", (*count, bodies, 3)),
         "start/obstacle_quaternion": ("float", (*count, bodies, 4)),
-        "start/holding": ("bool", (*count, task.grippers)),
+        "start/holding": ("bool", (*count, sum(hand.link is not None for hand in scene.grippers))),
         "goal/targets": ("float", (*count, *targets, 3)),
-        "goal/bodies": ("bool", (*count, *targets, scene.links + task.grippers)),
+        "goal/bodies": ("bool", (*count, *targets, len(task.blank.bodies()))),
         "goal/tolerance": ("float", count),
         **{name: ("float", count) for name in stored if name.startswith("size/")},
         **{
@@ -326,7 +326,7 @@ def _check_arrays(task: Task, stored: dict[str, np.ndarray]) -> None:
 
 def _caught(task: Task, simulator: Any, keys: jax.Array) -> tuple[SimState, np.ndarray]:
     """Where random actions led, and whether an obstacle held back the last of them."""
-    _, last, seen = random_trajectories(task, simulator, keys, RANDOM_ACTIONS, "constrained")
+    _, last, seen = random_trajectories(task, simulator, keys, RANDOM_ACTIONS)
     moved = seen.states.grippers[:, -1] - seen.states.grippers[:, -2]
     short = jnp.linalg.norm(moved - seen.actions[:, -1], axis=-1).max(-1)
     sound = (seen.faults == 0).all(-1)

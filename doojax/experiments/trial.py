@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from doojax.actions import nothing_of
 from doojax.experiments.records import TrialRecord
 from doojax.experiments.trial_log import REACHED as REACHED
 from doojax.experiments.trial_log import Log, element, record_plan
@@ -36,12 +37,11 @@ from doojax.planning import (
     search,
     shortened,
 )
-from doojax.planning.goals import bodies_of
 from doojax.planning.memory import refuting, remembered
 from doojax.planning.recovery import recovery_action
 from doojax.simulation.state import Fault, SimState, Simulator
-from doojax.tasks.base import Task
-from doojax.types import Obstacles, RopeState
+from doojax.tasks.base import Task, observed
+from doojax.types import Obstacles, State
 
 CRASHED = "crashed"
 NOT_EXECUTED = "the plan was not to be executed"
@@ -52,11 +52,6 @@ BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
 
 
-def observed(simulator: Simulator, states: SimState) -> RopeState:
-    """What a planner sees of a batch of states: rope and grippers."""
-    return simulator.observations(states).state
-
-
 @dataclass(frozen=True, eq=False)
 class Method:
     """With what a trial is planned."""
@@ -65,7 +60,7 @@ class Method:
     dynamics: Dynamics | HostDynamics
     reliability: Reliability
     recovery: Recovery | None = None  # None: a trial that is stuck is given up
-    begin: Callable[[Simulator, SimState], RopeState] = observed  # the state that a plan starts from
+    begin: Callable[[Simulator, SimState], State] = observed  # the state that a plan starts from
     error_threshold_m: float | None = None  # of the model error, below which a prediction counts as right
 
 
@@ -99,7 +94,7 @@ class Trials(NamedTuple):
 class Moves(NamedTuple):
     """Actions to execute, and where all bodies (m) were predicted to be before and after, if they were."""
 
-    actions: Float[np.ndarray, "t G 3"]
+    actions: Float[np.ndarray, "t ..."]
     predicted: Float[np.ndarray, "t1 K 3"] | None = None
 
 
@@ -133,9 +128,9 @@ def run_trials(
     states, goals = trials.starts, trials.goals
     obstacles = jax.vmap(simulator.obstacles)(states)
     keys = numbered(stream(trials.seed, "trials"), np.asarray(trials.numbers, np.uint32))
-    rope = observed(simulator, states)
-    logs = [Log([p], [g]) for p, g in zip(np.asarray(rope.points), np.asarray(rope.grippers), strict=True)]
-    bodies = bodies_of(rope).shape[1]
+    seen = observed(simulator, states)
+    logs = [Log([bodies], seen.passive) for bodies in np.asarray(seen.bodies())]
+    count, nothing = seen.bodies().shape[1], nothing_of(task.actions)
     limits = np.asarray(goals.tolerance) / 2  # m, beyond which a step refutes what was predicted of it
     if method.error_threshold_m is not None:
         limits = np.full(len(logs), method.error_threshold_m)
@@ -143,19 +138,19 @@ def run_trials(
         if not run:
             log.stop(NOT_WANTED)
     for turn in range(settings.searches + 1):
-        _judge(logs, goals, rope, turn, settings)
+        _judge(logs, goals, seen, turn, settings)
         running = np.array([log.end is None for log in logs])
         if not running.any():
             break
         search_keys, recovery_keys = _turn_keys(keys, jnp.asarray(turn))
         begun = time.perf_counter()
         aims = eqx.tree_at(lambda g: g.tolerance, goals, jnp.where(running, goals.tolerance, ANYWHERE))
-        known = [remembered(log.refuted, bodies) for log in logs]
+        known = [remembered(log.refuted, count) for log in logs]
         refuted = jax.tree.map(lambda *leaves: jnp.stack(leaves), *known)
         problem = Problem(obstacles, method.begin(simulator, states), aims, search_keys, refuted)
         trees = jax.tree.map(np.asarray, search(planner, problem))
 
-        moves = [Moves(np.zeros((0, task.grippers, 3), np.float32))] * len(logs)
+        moves = [Moves(np.zeros((0, *nothing.shape), np.float32))] * len(logs)
         searched = np.flatnonzero(running).tolist()
         found = [(logs[i], planner, element((problem, trees), i), keep_trees) for i in searched]
         threads = 1 if isinstance(method.dynamics, HostDynamics) else None  # one simulator in C, one thread
@@ -166,17 +161,17 @@ def run_trials(
             if not execute:
                 logs[i].stop(NOT_EXECUTED)
             elif plan.status != "stuck":
-                moves[i] = Moves(plan.actions, np.asarray(bodies_of(plan.states)))
+                moves[i] = Moves(plan.actions, np.asarray(plan.states.bodies()))
                 logs[i].note("execute", f"{len(plan.actions)} actions")
             elif method.recovery is None:
                 logs[i].stop(STUCK)
             else:
-                here = element((obstacles, rope), i)
+                here = element((obstacles, seen), i)
                 action = recovery_action(task, method.recovery, *here, key=recovery_keys[i])
                 moves[i] = Moves(np.asarray(action)[None])
                 logs[i].recoveries += 1
                 logs[i].note("recover", "nothing that was tried is reliable")
-        states, rope = _execute(simulator, states, rope, goals, logs, moves, settings, limits)
+        states, seen = _execute(simulator, states, seen, goals, logs, moves, settings, limits)
     return [
         _record(task, method, log, trials, i, *element((obstacles, trials.starts, goals), i))
         for i, log in enumerate(logs)
@@ -187,10 +182,10 @@ def crashed(
     task: Task, simulator: Simulator, method: Method, trials: Trials, error: Exception, details: str
 ) -> TrialRecord:
     """The record of a trial, the first of ``trials``, that an error ended: it stayed where it started."""
-    rope = observed(simulator, trials.starts)
+    seen = observed(simulator, trials.starts)
     here = element((jax.vmap(simulator.obstacles)(trials.starts), trials.starts, trials.goals), 0)
-    log = Log([np.asarray(rope.points[0])], [np.asarray(rope.grippers[0])])
-    log.missing = float(_distances(trials.goals, rope)[0])
+    log = Log([np.asarray(seen.bodies()[0])], seen.passive)
+    log.missing = float(_distances(trials.goals, seen)[0])
     log.stop(f"{CRASHED}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
     record = _record(task, method, log, trials, 0, *here)
     return replace(record, about={**record.about, "traceback": details})
@@ -203,14 +198,14 @@ def _turn_keys(keys: Array, turn: Int[Array, ""]) -> tuple[Array, Array]:
 
 
 @jax.jit
-def _distances(goals: Goal, ropes: RopeState) -> Float[Array, "R"]:
-    return jax.vmap(lambda goal, rope: goal.distance(rope))(goals, ropes)
+def _distances(goals: Goal, states: State) -> Float[Array, "R"]:
+    return jax.vmap(lambda goal, state: goal.distance(state))(goals, states)
 
 
-def _judge(logs: Sequence[Log], goals: Goal, rope: RopeState, turn: int, settings: TrialSettings) -> None:
+def _judge(logs: Sequence[Log], goals: Goal, seen: State, turn: int, settings: TrialSettings) -> None:
     """End the trials that are at their goal, or have nothing left to try."""
     tolerances = np.asarray(goals.tolerance)
-    for log, missing, tolerance in zip(logs, np.asarray(_distances(goals, rope)), tolerances, strict=True):
+    for log, missing, tolerance in zip(logs, np.asarray(_distances(goals, seen)), tolerances, strict=True):
         log.missing = float(missing) if np.isfinite(missing) else log.missing
         if log.end is not None:
             continue
@@ -240,13 +235,13 @@ def _noted_plan(log: Log, planner: Rrt, found: tuple[Problem, Tree], keep_trees:
 def _execute(
     simulator: Simulator,
     states: SimState,
-    rope: RopeState,
+    seen: State,
     goals: Goal,
     logs: Sequence[Log],
     moves: Sequence[Moves],
     settings: TrialSettings,
     limits: Float[np.ndarray, "R"],
-) -> tuple[SimState, RopeState]:
+) -> tuple[SimState, State]:
     """Execute every trial's actions until its goal is reached, one control period of all trials at a time."""
     tolerances = np.asarray(goals.tolerance)
     left = [len(move.actions) for move in moves]
@@ -258,18 +253,16 @@ def _execute(
                 actions[i], moving[i] = moves[i].actions[step], True
         if not moving.any():
             break
-        after, seen = simulator.rollout(states, jnp.asarray(actions)[:, None])
-        here = jax.tree.map(lambda leaf: leaf[:, -1], seen.states)
-        states, rope = _where(moving, (after, here), (states, rope))
-        points, grippers, faults = (np.asarray(x) for x in (here.points, here.grippers, seen.faults))
+        last, trajectory = simulator.rollout(states, jnp.asarray(actions)[:, None])
+        here = jax.tree.map(lambda leaf: leaf[:, -1], trajectory.states)
+        states, seen = _where(moving, (last, here), (states, seen))
+        bodies, faults = np.asarray(here.bodies()), np.asarray(trajectory.faults)
         missing = np.asarray(_distances(goals, here))
         for i in np.flatnonzero(moving).tolist():
             log, predicted = logs[i], moves[i].predicted
-            before = np.concatenate([log.points[-1], log.grippers[-1]])
-            after = np.concatenate([points[i], grippers[i]])
+            before, after = log.bodies[-1], bodies[i]
             log.actions.append(actions[i])
-            log.points.append(points[i])
-            log.grippers.append(grippers[i])
+            log.bodies.append(after)
             if faults[i, -1] & BROKEN:
                 log.stop("the simulation became unstable")
                 continue
@@ -280,12 +273,12 @@ def _execute(
                 log.missing = float(missing[i])
                 log.stop(REACHED)
             elif predicted is not None and settings.replan_distance is not None:
-                meant = predicted[step + 1, : len(points[i])]
-                off = float(np.sqrt(((points[i] - meant) ** 2).sum(-1).mean()))
+                gaps = (after - predicted[step + 1])[: log.passive]
+                off = float(np.sqrt((gaps**2).sum(-1).mean()))
                 if off > settings.replan_distance and step + 1 < left[i]:
                     left[i] = 0
                     log.note("replan", f"{100 * off:.1f} cm from where the plan had the rope")
-    return states, rope
+    return states, seen
 
 
 def _record(

@@ -4,8 +4,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from doojax.actions import nothing_of
 from doojax.experiments.records import Event, EventKind, Look, PlanRecord, TrialRecord
 from doojax.experiments.trial_replay import first_state
 from doojax.planning import Goal, Plan, Tree
@@ -21,8 +23,8 @@ REACHED = "goal reached"
 class Log:
     """What happened in one trial so far."""
 
-    points: list[np.ndarray]
-    grippers: list[np.ndarray]
+    bodies: list[np.ndarray]  # where all were, m
+    passive: int  # how many of them no action commands
     missing: float = np.inf  # m to the goal
     actions: list[np.ndarray] = field(default_factory=list)
     plans: list[PlanRecord] = field(default_factory=list)
@@ -44,9 +46,9 @@ class Log:
 
     def record(self, task: Task, obstacles: Obstacles, start: SimState, goal: Goal) -> TrialRecord:
         """The record of a trial that is over; method, seed and number are left for who knows them."""
-        targets, points = np.asarray(goal.targets), np.stack(self.points)
-        allowed = np.flatnonzero(np.asarray(goal.bodies)[0])
-        ends = np.concatenate([points[-1], self.grippers[-1]])[allowed]
+        targets, allowed = np.asarray(goal.targets), np.flatnonzero(np.asarray(goal.bodies)[0])
+        points, grippers = np.split(np.stack(self.bodies), [self.passive], axis=1)
+        ends = self.bodies[-1][allowed]
         distances = np.nan_to_num(np.linalg.norm(ends - targets[0], axis=-1), nan=np.inf)
         about: dict[str, Any] = {
             "end": self.end,
@@ -59,7 +61,7 @@ class Log:
             "plan_s": round(self.plan_s, 3),
             "more_targets": targets[1:].tolist(),
         }
-        actions = np.array(self.actions, np.float32).reshape(-1, task.grippers, 3)
+        actions = np.array(self.actions, np.float32).reshape(-1, *nothing_of(task.actions).shape)
         return TrialRecord(
             task=task.name,
             method="",
@@ -70,7 +72,7 @@ class Log:
             goal_radius=float(goal.tolerance),
             goal_point=int(allowed[np.argmin(distances)]),
             points=points,
-            grippers=np.stack(self.grippers),
+            grippers=grippers,
             plans=tuple(self.plans),
             events=tuple(self.events),
             reached=self.end == REACHED,
@@ -84,11 +86,13 @@ def record_plan(tree: Tree, plan: Plan, step: int, *, whole: bool) -> PlanRecord
     """A search made at state ``step``, for the viewer: all that was tried, or only the nodes of the plan."""
     nodes = np.arange(int(tree.used)) if whole else plan.nodes
     path = plan.nodes if whole else np.arange(len(nodes))
+    bodies = jax.tree.map(lambda leaf: jnp.asarray(leaf[nodes]), tree.state).bodies()
+    points, grippers = np.split(np.asarray(bodies), [tree.state.passive], axis=-2)
     return PlanRecord(
         step=step,
         parent=np.asarray(tree.parent[nodes] if whole else path - 1),
-        points=np.asarray(tree.state.points[nodes]),
-        grippers=np.asarray(tree.state.grippers[nodes]),
+        points=points,
+        grippers=grippers,
         accepted=np.asarray(tree.accepted[nodes]),
         path=path,
         score=np.asarray(tree.score[nodes]),

@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from doojax.experiments.records import TrialRecord
 from doojax.simulation.state import SimState, Simulator
+from doojax.tasks.base import observed
 
 MODEL = "model/"  # before the names of model fields, which carry another rope
 REPLAYED = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
@@ -20,7 +21,7 @@ def first_state(start: SimState) -> dict[str, np.ndarray]:
 
 
 def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N 3"]:
-    """The rope's points (m) when a recorded trial's actions are executed again from its first state.
+    """The passive bodies (m), such as a rope's points, when a trial is executed again from its first state.
 
     Raises:
         ValueError: for a record that does not hold them.
@@ -36,8 +37,9 @@ def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N
         if name.startswith(MODEL)
     }
     states = SimState(**stored, faults=jnp.zeros(1, dtype=jnp.int32), model_fields=fields)
-    points = [np.asarray(simulator.observations(states).state.points[0])]
+    seen = observed(simulator, states)
+    points = [np.asarray(seen.bodies()[0, : seen.passive])]
     for action in record.replay["actions"]:
-        states, seen = simulator.rollout(states, jnp.asarray(action)[None, None])
-        points.append(np.asarray(seen.states.points[0, -1]))
+        states, trajectory = simulator.rollout(states, jnp.asarray(action)[None, None])
+        points.append(np.asarray(trajectory.states.bodies()[0, -1, : seen.passive]))
     return np.stack(points)

@@ -1,6 +1,7 @@
 """Trajectories of a split, ready to learn from."""
 
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,14 +10,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from doojax.datasets.store import Dataset
+from doojax.tasks.ropes import task_of
 from doojax.types import Obstacles, RopeState
 
 
 class Trajectories(eqx.Module):
     """K sound trajectories of T actions: no fault, no missing value."""
 
-    states: RopeState  # points [K, T+1, N, 3], grippers [K, T+1, G, 3]
-    actions: Float[Array, "K T G 3"]  # m
+    states: Any  # such as a RopeState: points [K, T+1, N, 3], grippers [K, T+1, G, 3]
+    actions: Float[Array, "K T ..."]  # such as displacements, m
     obstacles: Obstacles  # [K, M]
     rows: Int[Array, "K"]  # their numbers in the data set
 
@@ -24,7 +26,7 @@ class Trajectories(eqx.Module):
         """K."""
         return self.actions.shape[0]
 
-    def transitions(self) -> tuple[RopeState, Float[Array, "n G 3"], RopeState]:
+    def transitions(self) -> tuple[Any, Float[Array, "n ..."], Any]:
         """All n = K T states that something was done in, what was done, and the states after."""
         before = jax.tree.map(lambda leaf: leaf[:, :-1].reshape(-1, *leaf.shape[2:]), self.states)
         after = jax.tree.map(lambda leaf: leaf[:, 1:].reshape(-1, *leaf.shape[2:]), self.states)
@@ -51,10 +53,11 @@ def load_split(dataset: Dataset, split: str) -> Trajectories:
         ValueError: none is left.
     """
     rows = dataset.split(split)
-    stored = dataset.trajectories(rows)
+    ropes = {"points", "grippers"} <= set(dataset.fields)
+    stored = dataset.trajectories(rows, RopeState if ropes else type(task_of(dataset.config).blank))
     sound = (np.asarray(stored.faults) == 0).all(1)
     for leaf in jax.tree.leaves(stored.states):
-        sound &= np.isfinite(np.asarray(leaf)).all(axis=(1, 2, 3))
+        sound &= np.isfinite(np.asarray(leaf)).all(axis=tuple(range(1, leaf.ndim)))
     if not sound.any():
         raise ValueError(f"{dataset.path}: every trajectory of the {split} split has a fault")
     keep = np.flatnonzero(sound)

@@ -2,7 +2,10 @@
 
 An epoch is one jitted call: it draws the batches, takes every step in a `jax.lax.scan`, validates, and keeps
 each member's best weights. Its random keys come from the seed and the epoch's number, and the learning rate
-from how far training has come, so that a checkpoint holds all that a resumed run needs.
+from the steps that the optimiser has counted, so that a checkpoint holds all that a resumed run needs.
+
+Learning that goes on while data come in trains again and again, each time from the models before (``begin``)
+and on a `doojax.learning.buffer.Buffer` of a fixed size, so that only the first time compiles.
 """
 
 from collections.abc import Callable
@@ -43,6 +46,12 @@ class FitConfig:
         if not self.learning_rate > 0:
             raise ValueError(f"learning_rate is {self.learning_rate}, expected a positive number")
 
+    def optimiser(self, steps: int) -> optax.GradientTransformation:
+        """Adam at the learning rate of every step, of which an epoch has so many."""
+        if self.schedule == "constant":
+            return optax.adam(self.learning_rate)
+        return optax.adam(optax.cosine_decay_schedule(self.learning_rate, self.epochs * steps))
+
 
 @runtime_checkable
 class Problem(Protocol):
@@ -72,7 +81,7 @@ class FitState(eqx.Module):
     """All that training needs to go on, of one member or of E with a leading axis."""
 
     weights: PyTree  # the inexact arrays of the model
-    moments: PyTree  # Adam's
+    optimiser: PyTree  # what Adam remembers
     best: PyTree  # the weights of the best epoch so far
     best_loss: Float[Array, "*E"]  # on the validation split
     stale: Int[Array, "*E"]  # epochs since the best
@@ -83,8 +92,9 @@ def fit(
     config: FitConfig,
     *,
     seed: int,
-    run: RunDirectory,
+    run: RunDirectory | None = None,
     members: PyTree = None,
+    begin: PyTree = None,
     report: Report = lambda number, epochs, metrics: None,
 ) -> PyTree:
     """Train, and return the model with each member's best weights; its arrays have a leading axis E.
@@ -93,25 +103,30 @@ def fit(
         problem: what to learn.
         config: how.
         seed: of everything that is random.
-        run: where checkpoints and metrics go, and from where an interrupted run goes on.
+        run: where checkpoints and metrics go, and from where an interrupted run goes on; None: nowhere.
         members: settings that differ by member, arrays [E, ...].
+        begin: models to begin with, as `fit` gave them, in place of fresh ones.
         report: called after each epoch.
 
     Raises:
-        ValueError: if a loss is not finite; the last checkpoint is from before.
+        ValueError: if a loss is not finite; the last checkpoint is from before. Or for other models to begin
+            with than the problem has.
     """
     key = stream(seed, "fit")
-    state, static = start(problem, config, members, key=key)
-    number, state = run.resume(state)
+    state, static = start(problem, config, members, key=key, begin=begin)
+    number, state = run.resume(state) if run else (0, state)
     while number < config.epochs and not exhausted(state, config):
         number += 1
         keys = jax.random.split(jax.random.fold_in(key, number), config.members)
-        settings = (problem, static, members, keys, config, jnp.array(number))
+        settings = (problem, static, members, keys, config)
         state, measured = epoch(settings, state)
         metrics = {name: np.asarray(values) for name, values in measured.items()}
         require_finite(metrics, number)
-        run.log({"epoch": number, **{name: values.tolist() for name, values in metrics.items()}})
-        if number % config.checkpoint_every == 0 or number == config.epochs or exhausted(state, config):
+        if run:
+            run.log({"epoch": number, **{name: values.tolist() for name, values in metrics.items()}})
+        if run and (
+            number % config.checkpoint_every == 0 or number == config.epochs or exhausted(state, config)
+        ):
             run.save(number, state)
         report(number, config.epochs, metrics)
     return eqx.combine(state.best, static)
@@ -122,17 +137,28 @@ def member(models: PyTree, index: int) -> PyTree:
     return jax.tree.map(lambda leaf: leaf[index] if eqx.is_array(leaf) else leaf, models)
 
 
-def start(problem: Problem, config: FitConfig, members: PyTree, *, key: Array) -> tuple[FitState, PyTree]:
+def start(
+    problem: Problem, config: FitConfig, members: PyTree, *, key: Array, begin: PyTree = None
+) -> tuple[FitState, PyTree]:
     """The state before the first epoch, and what of the model is not trained."""
 
     def init(member: PyTree, key: Array) -> PyTree:
         return problem.init(member, key=key)
 
     keys = jax.random.split(jax.random.fold_in(key, 0), config.members)
-    weights, static = eqx.partition(eqx.filter_vmap(init)(members, keys), eqx.is_inexact_array)
+    models = eqx.filter_vmap(init)(members, keys)
+    if begin is not None:
+        expected, found = (jax.tree.map(jnp.shape, eqx.filter(one, eqx.is_array)) for one in (models, begin))
+        if not eqx.tree_equal(expected, found):
+            raise ValueError(
+                f"the models to begin with do not fit: expected {config.members} members of the problem's "
+                "own kind and sizes, as fit gave them"
+            )
+        models = jax.tree.map(lambda leaf: jnp.copy(leaf) if eqx.is_array(leaf) else leaf, begin)
+    weights, static = eqx.partition(models, eqx.is_inexact_array)
     state = FitState(
         weights=weights,
-        moments=jax.vmap(optax.scale_by_adam().init)(weights),
+        optimiser=jax.vmap(config.optimiser(1).init)(weights),
         best=jax.tree.map(jnp.copy, weights),
         best_loss=jnp.full(config.members, jnp.inf, dtype=float),  # not weakly typed: compiled once
         stale=jnp.zeros(config.members, dtype=jnp.int32),
@@ -142,7 +168,7 @@ def start(problem: Problem, config: FitConfig, members: PyTree, *, key: Array) -
 
 @eqx.filter_jit(donate="all-except-first")
 def epoch(
-    settings: tuple[Problem, PyTree, PyTree, Array, FitConfig, Int[Array, ""]], state: FitState
+    settings: tuple[Problem, PyTree, PyTree, Array, FitConfig], state: FitState
 ) -> tuple[FitState, dict[str, Float[Array, "E"]]]:
     """One pass over the batches and the validation split, for all members; they share nothing.
 
@@ -150,33 +176,31 @@ def epoch(
     a stack, one after the other (map).
 
     Args:
-        settings: the problem, what of the model is not trained, the members' settings and keys, the config,
-            and the epoch's number, from 1.
+        settings: the problem, what of the model is not trained, the members' settings and keys, the config.
         state: before; its memory is given up.
     """
-    problem, static, members, keys, config, number = settings
+    problem, static, members, keys, config = settings
 
     def one(arguments: tuple[FitState, PyTree, Array]) -> tuple[FitState, dict[str, Array]]:
         state, member, key = arguments
         rows = problem.batches(member, config.batch_size, key=key)
-        rates = learning_rates(config, number, rows.shape[0])
+        optimiser = config.optimiser(rows.shape[0])
 
         def loss(weights: PyTree, batch: Int[Array, "batch"]) -> Float[Array, ""]:
             return problem.loss(eqx.combine(weights, static), batch, member)
 
-        def step(carry: tuple[PyTree, PyTree], inputs: tuple[Array, Array]):
-            (weights, moments), (batch, rate) = carry, inputs
+        def step(carry: tuple[PyTree, PyTree], batch: Array):
+            weights, memory = carry
             value, gradient = jax.value_and_grad(loss)(weights, batch)
-            direction, moments = optax.scale_by_adam().update(gradient, moments)
-            weights = jax.tree.map(lambda weight, change: weight - rate * change, weights, direction)
-            return (weights, moments), value
+            change, memory = optimiser.update(gradient, memory)
+            return (optax.apply_updates(weights, change), memory), value
 
-        (weights, moments), losses = jax.lax.scan(step, (state.weights, state.moments), (rows, rates))
+        (weights, memory), losses = jax.lax.scan(step, (state.weights, state.optimiser), rows)
         measured = problem.validate(eqx.combine(weights, static), member)
         better = measured["loss"] < state.best_loss
         after = FitState(
             weights=weights,
-            moments=moments,
+            optimiser=memory,
             best=jax.tree.map(lambda new, old: jnp.where(better, new, old), weights, state.best),
             best_loss=jnp.where(better, measured["loss"], state.best_loss),
             stale=jnp.where(better, 0, state.stale + 1),
@@ -187,14 +211,6 @@ def epoch(
     if jax.default_backend() == "cpu":
         return jax.lax.map(one, (state, members, keys))
     return jax.vmap(one)((state, members, keys))
-
-
-def learning_rates(config: FitConfig, number: Int[Array, ""], steps: int) -> Float[Array, "steps"]:
-    """The learning rate of each step of an epoch."""
-    if config.schedule == "constant":
-        return jnp.full(steps, config.learning_rate)
-    done = (number - 1 + jnp.arange(steps) / steps) / config.epochs
-    return config.learning_rate * (1 + jnp.cos(jnp.pi * done)) / 2
 
 
 def exhausted(state: FitState, config: FitConfig) -> bool:

@@ -1,17 +1,12 @@
-"""Fit dynamics that look at the obstacles, to data with and without obstacles together."""
+"""Data with and without obstacles together, for dynamics that look at the obstacles."""
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PyTree
 
 from doojax.learning.data import Trajectories
-from doojax.learning.fit import shuffled
-from doojax.learning.losses import multistep_loss
-from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
 
 AT_ONCE = 64  # windows of a validation split; more take too much memory
 
@@ -57,36 +52,3 @@ def windows(parts: Sequence[Trajectories], steps: int) -> Trajectories:
             )
         )
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *pieces)
-
-
-class FullDynamicsProblem(eqx.Module):
-    """Fit `FullDynamics` to `windows` of the data that classifier and unconstrained dynamics learn from."""
-
-    train: Trajectories
-    validation: Trajectories
-    config: FullDynamicsConfig = eqx.field(static=True)
-
-    def init(self, member: PyTree, *, key: Array) -> FullDynamics:
-        """A fresh network, scaled to the training data."""
-        return FullDynamics(self.config, key=key).scaled_to(*self.train.transitions())
-
-    def batches(self, member: PyTree, batch_size: int, *, key: Array) -> Int[Array, "steps batch"]:
-        """Windows in random order."""
-        return shuffled(len(self.train), batch_size, key=key)
-
-    def loss(self, model: FullDynamics, rows: Int[Array, "batch"], member: PyTree) -> Float[Array, ""]:
-        """The mean of `multistep_loss`."""
-        return jax.vmap(errors, (None, 0))(model, jax.tree.map(lambda leaf: leaf[rows], self.train))[0].mean()
-
-    def validate(self, model: FullDynamics, member: PyTree) -> dict[str, Float[Array, ""]]:
-        """The loss, and the mean distance per point (m), over all steps of all windows."""
-        loss, error = jax.lax.map(lambda window: errors(model, window), self.validation, batch_size=AT_ONCE)
-        return {"loss": loss.mean(), "error_m": error.mean()}
-
-
-def errors(model: FullDynamics, window: Trajectories) -> tuple[Float[Array, ""], Float[Array, "T"]]:
-    """`multistep_loss` of a prediction from a window's first state, and the mean distance per point (m)."""
-    first = jax.tree.map(lambda leaf: leaf[0], window.states)
-    predicted = model.roll_out(window.obstacles, first, window.actions)
-    distance = jnp.linalg.norm((predicted.points - window.states.points)[1:], axis=-1)
-    return multistep_loss(predicted, window.states), distance.mean(-1)

@@ -5,7 +5,7 @@ text's.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -14,23 +14,23 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from doojax.learning.data import Trajectories
-from doojax.models.ensemble import Ensemble, roll_out
-from doojax.types import RopeState, Transition
+from doojax.models.ensemble import Ensemble
+from doojax.models.protocols import Dynamics
+from doojax.models.rolling import roll_out
+from doojax.types import State, Transition
 
 
-def rms_distance(left: RopeState, right: RopeState) -> Float[Array, "*b"]:
+def rms_distance(left: State, right: State) -> Float[Array, "*b"]:
     """The model error ``dist``: root mean square, over a rope's N points, of their distances in metres.
+
+    Of any state, the passive bodies count, which are a rope's points.
 
     The released code takes the norm of all coordinates of the rope stacked into one vector, which is
     sqrt(N) times as large: its thresholds of 0.065 m (10 points) and 0.025 m (25 points) are 2.06 cm and
     0.50 cm here. Both leave the grippers out.
     """
-    return jnp.sqrt(((left.points - right.points) ** 2).sum(-1).mean(-1))
-
-
-def stacked_distance(left: RopeState, right: RopeState) -> Float[Array, "*b"]:
-    """The released code's distance: sqrt(N) times `rms_distance`."""
-    return rms_distance(left, right) * left.points.shape[-2] ** 0.5
+    gaps = (left.bodies() - right.bodies())[..., : left.passive, :]
+    return jnp.sqrt((gaps**2).sum(-1).mean(-1))
 
 
 @dataclass(frozen=True)
@@ -90,21 +90,19 @@ def error_threshold(ensemble: Ensemble, data: Trajectories, quantile: float = 0.
 def member_errors(ensemble: Ensemble, data: Trajectories) -> Float[Array, "E K T"]:
     """`rms_distance` of each member's prediction from each trajectory's first state, at steps 1 to T."""
 
-    def one(member, states: RopeState, actions: Array) -> Float[Array, "T"]:
-        first = jax.tree.map(lambda leaf: leaf[0], states)
-        return rms_distance(roll_out(member, first, actions), states)[1:]
+    def one(member: Dynamics, data: Trajectories) -> Float[Array, "T"]:
+        first = jax.tree.map(lambda leaf: leaf[0], data.states)
+        return rms_distance(roll_out(member, data.obstacles, first, data.actions)[0], data.states)[1:]
 
     @eqx.filter_jit
-    def every(members, data: Trajectories):
-        over_data = eqx.filter_vmap(one, in_axes=(None, 0, 0))
-        return eqx.filter_vmap(over_data, in_axes=(eqx.if_array(0), None, None))(
-            members, data.states, data.actions
-        )
+    def every(members: Any, data: Trajectories):
+        over_data = eqx.filter_vmap(one, in_axes=(None, 0))
+        return eqx.filter_vmap(over_data, in_axes=(eqx.if_array(0), None))(members, data)
 
     return every(ensemble.members, data)
 
 
-def label(ensemble: Ensemble, data: Trajectories, config: LabelConfig) -> Examples:
+def label(dynamics: Dynamics, data: Trajectories, config: LabelConfig) -> Examples:
     """Predict along recorded trajectories and compare (figure 2.2): see `LabelConfig` for the choices."""
     length = data.actions.shape[1]
     horizon = min(config.horizon, length)
@@ -119,10 +117,15 @@ def label(ensemble: Ensemble, data: Trajectories, config: LabelConfig) -> Exampl
         reached = jnp.minimum(time[0] + jnp.arange(horizon + 1), length)
         true = jax.tree.map(lambda leaf: leaf[number, reached], data.states)
         first = jax.tree.map(lambda leaf: leaf[0], true)
+        obstacles = jax.tree.map(lambda leaf: leaf[number], data.obstacles)
         if config.rollout == "mean":
-            states, uncertainty = ensemble.roll_out(first, actions)
+            states, uncertainty = roll_out(dynamics, obstacles, first, actions)
+        elif isinstance(dynamics, Ensemble):
+            states, uncertainty = dynamics.roll_out_members(obstacles, first, actions)
         else:
-            states, uncertainty = ensemble.roll_out_members(first, actions)
+            raise ValueError(
+                f"rollout is 'members', but {type(dynamics).__name__} is no ensemble and has none"
+            )
         error = rms_distance(states, true)
         before = error[:-1]
         if config.discard == "after first":

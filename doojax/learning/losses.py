@@ -1,18 +1,21 @@
 """What each network learns, as `doojax.learning.fit.Problem`s."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
+from doojax.learning.buffer import Buffer
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import shuffled
-from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
-from doojax.models.ensemble import roll_out
-from doojax.types import RopeState
+from doojax.models.dynamics import UnconstrainedDynamics
+from doojax.models.protocols import Dynamics
+from doojax.models.rolling import roll_out
 
 
-def multistep_loss(predicted: RopeState, true: RopeState) -> Float[Array, ""]:
+def multistep_loss(predicted: Any, true: Any) -> Float[Array, ""]:
     """Squared error of T + 1 states, the first of which is given: equation 2.5.
 
     The mean over steps 1 to T of the squared norm of all coordinates, divided by their number d (a constant
@@ -25,43 +28,53 @@ def multistep_loss(predicted: RopeState, true: RopeState) -> Float[Array, ""]:
 
 
 class DynamicsProblem(eqx.Module):
-    """Fit `UnconstrainedDynamics` to whole trajectories."""
+    """Fit any dynamics to whole trajectories, or to pieces of them."""
 
-    train: Trajectories
+    train: Trajectories | Buffer  # a buffer holds trajectories
     validation: Trajectories
-    config: DynamicsConfig = eqx.field(static=True)
-    normalise: bool = eqx.field(static=True)
+    config: Any = eqx.field(static=True)  # of the network
+    normalise: bool = eqx.field(static=True)  # does `init` scale inputs and outputs by the training data?
+    network: Any = eqx.field(static=True, default=UnconstrainedDynamics)  # makes one of config and key
+    steps: int = eqx.field(static=True, default=0)  # of an epoch; 0: as many as the data make; for a buffer
+    at_once: int = eqx.field(static=True, default=4096)  # validated trajectories; more may take much memory
 
-    def init(self, member: PyTree, *, key: Array) -> UnconstrainedDynamics:
+    @property
+    def trajectories(self) -> Trajectories:
+        """The training data."""
+        return self.train.items if isinstance(self.train, Buffer) else self.train
+
+    def init(self, member: PyTree, *, key: Array) -> Any:
         """A fresh network, scaled to the training data if asked for."""
-        model = UnconstrainedDynamics(self.config, key=key)
-        if not self.normalise:
-            return model
-        return model.scaled_to(*self.train.transitions())
+        model = self.network(self.config, key=key)
+        return model.scaled_to(*self.trajectories.transitions()) if self.normalise else model
 
     def batches(self, member: PyTree, batch_size: int, *, key: Array) -> Int[Array, "steps batch"]:
-        """Trajectories in random order."""
+        """Trajectories in random order; of a buffer, by their weights."""
+        if isinstance(self.train, Buffer):
+            return self.train.drawn(self.steps or self.train.capacity // batch_size, batch_size, key=key)
         return shuffled(len(self.train), batch_size, key=key)
 
-    def loss(
-        self, model: UnconstrainedDynamics, rows: Int[Array, "batch"], member: PyTree
-    ) -> Float[Array, ""]:
+    def loss(self, model: Any, rows: Int[Array, "batch"], member: PyTree) -> Float[Array, ""]:
         """The mean of `multistep_loss`."""
-        states, actions = jax.tree.map(lambda leaf: leaf[rows], (self.train.states, self.train.actions))
-        return jax.vmap(trajectory_loss, (None, 0, 0))(model, states, actions).mean()
+        batch = jax.tree.map(lambda leaf: leaf[rows], self.trajectories)
+        return jax.vmap(errors, (None, 0))(model, batch)[0].mean()
 
-    def validate(self, model: UnconstrainedDynamics, member: PyTree) -> dict[str, Float[Array, ""]]:
-        """The loss, and the mean distance per point (m), over steps 1 to T of whole trajectories."""
-        states, actions = self.validation.states, self.validation.actions
-        first = jax.tree.map(lambda leaf: leaf[:, 0], states)
-        predicted = jax.vmap(roll_out, (None, 0, 0))(model, first, actions)
-        error = jnp.linalg.norm((predicted.points - states.points)[:, 1:], axis=-1)
-        return {"loss": jax.vmap(multistep_loss)(predicted, states).mean(), "error_m": error.mean()}
+    def validate(self, model: Any, member: PyTree) -> dict[str, Float[Array, ""]]:
+        """The loss, and the mean distance per passive body (m), over steps 1 to T of all trajectories."""
+        loss, error = jax.lax.map(
+            lambda one: errors(model, one),
+            self.validation,
+            batch_size=min(self.at_once, len(self.validation)),
+        )
+        return {"loss": loss.mean(), "error_m": error.mean()}
 
 
-def trajectory_loss(
-    model: UnconstrainedDynamics, states: RopeState, actions: Float[Array, "T G 3"]
-) -> Float[Array, ""]:
-    """`multistep_loss` of a prediction from a trajectory's first state."""
-    first = jax.tree.map(lambda leaf: leaf[0], states)
-    return multistep_loss(roll_out(model, first, actions), states)
+def errors(model: Dynamics, one: Trajectories) -> tuple[Float[Array, ""], Float[Array, "T"]]:
+    """Of one trajectory, predicted from its first state: `multistep_loss`, and mean distances by step.
+
+    Distances (m) are those of the passive bodies, such as a rope's points.
+    """
+    first = jax.tree.map(lambda leaf: leaf[0], one.states)
+    predicted, _ = roll_out(model, one.obstacles, first, one.actions)
+    gaps = (predicted.bodies() - one.states.bodies())[1:, : first.passive]
+    return multistep_loss(predicted, one.states), jnp.linalg.norm(gaps, axis=-1).mean(-1)

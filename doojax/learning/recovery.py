@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from doojax.actions import nothing_of, sampled
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import shuffled
 from doojax.learning.reliability import cross_entropy
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
-from doojax.models.protocols import Dynamics, Reliability, accepts
+from doojax.models.protocols import Dynamics, Reliability, predicted
 from doojax.models.recovery import RecoveryNetwork
 from doojax.tasks.base import Task
 from doojax.types import Obstacles, RopeState
@@ -48,12 +49,11 @@ def acceptance(
     0 means stuck (equation 2.4, approximately). The state, its scene and its actions come in together: the
     released code repeats them along different axes and so mixes up the elements of a batch.
     """
-    nothing = jnp.zeros((task.grippers, 3))
+    nothing = nothing_of(task.actions)
 
     def accepted(key: Array) -> Array:
-        action = task.sample_action(key, state, nothing, "constrained")
-        after, uncertainty = dynamics(obstacles, state, action)
-        return accepts(reliability, obstacles, state, action, after, uncertainty)
+        action = sampled(task.actions, key, state, nothing)
+        return reliability(obstacles, predicted(dynamics, obstacles, state, action)).accepted
 
     return jax.vmap(accepted)(jax.random.split(key, SAMPLES)).mean()
 

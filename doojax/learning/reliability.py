@@ -58,16 +58,16 @@ def cross_entropy(logits: Float[Array, "*b"], right: Array) -> Float[Array, "*b"
 
 
 def judged_one(
-    judge: Callable[..., Array], examples: Examples, obstacles: Obstacles, row: Int[Array, ""]
-) -> Float[Array, ""]:
+    judge: Callable[..., Any], examples: Examples, obstacles: Obstacles, row: Int[Array, ""]
+) -> Any:
     """What ``judge``, called as a `Reliability` is, says of one example."""
     one, number = jax.tree.map(lambda leaf: leaf[row], (examples.transition, examples.trajectory))
     scene = jax.tree.map(lambda leaf: leaf[number], obstacles)
-    return judge(scene, one.state, one.action, one.next_state, one.uncertainty)
+    return judge(scene, one)
 
 
 @eqx.filter_jit
-def judged(judge: Callable[..., Array], examples: Examples, obstacles: Obstacles) -> Float[Array, "n"]:
+def judged(judge: Callable[..., Any], examples: Examples, obstacles: Obstacles) -> Any:
     """`judged_one` of all examples, some at a time."""
     return jax.lax.map(
         lambda row: judged_one(judge, examples, obstacles, row),
@@ -77,11 +77,12 @@ def judged(judge: Callable[..., Array], examples: Examples, obstacles: Obstacles
 
 
 def judged_kept(
-    judge: Callable[..., Array], examples: Examples, obstacles: Obstacles, threshold: float
-) -> tuple[Float[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
+    judge: Callable[..., Any], examples: Examples, obstacles: Obstacles, threshold: float
+) -> tuple[Any, Bool[np.ndarray, "k"]]:
     """What ``judge`` says of the examples that count at a threshold (m) of the error, and are they right."""
     kept = np.asarray(examples.kept(threshold))
-    return np.asarray(judged(judge, examples, obstacles))[kept], np.asarray(examples.right(threshold))[kept]
+    found = jax.tree.map(lambda leaf: np.asarray(leaf)[kept], judged(judge, examples, obstacles))
+    return found, np.asarray(examples.right(threshold))[kept]
 
 
 def require_both_classes(examples: Examples, threshold: float, split: str) -> None:

@@ -17,7 +17,7 @@ from doojax.learning.calibration import conformal_threshold, fit_calibration
 from doojax.learning.checkpoints import MODEL, Header, load_model, own_threshold
 from doojax.learning.data import load_split, open_dataset
 from doojax.learning.fit import Report, fit, member
-from doojax.learning.full_dynamics import FullDynamicsProblem, windows
+from doojax.learning.full_dynamics import AT_ONCE, windows
 from doojax.learning.labels import error_threshold, label
 from doojax.learning.losses import DynamicsProblem
 from doojax.learning.presets import (
@@ -36,6 +36,7 @@ from doojax.learning.reliability import ClassifierProblem, judged_kept, require_
 from doojax.learning.runs import RunDirectory
 from doojax.models.classifier import DistanceClassifier
 from doojax.models.ensemble import Ensemble
+from doojax.models.full_dynamics import FullDynamics
 from doojax.models.voxel_classifier import VoxelClassifier
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
@@ -93,7 +94,7 @@ def train_full_dynamics(
     parts = {split: [load_split(one, split) for one in datasets] for split in ("train", "validation")}
     steps = min(part.actions.shape[1] for part in parts["train"])
     train, validation = (windows(part, steps) for part in parts.values())
-    problem = FullDynamicsProblem(train, validation, chosen.network)
+    problem = DynamicsProblem(train, validation, chosen.network, True, FullDynamics, at_once=AT_ONCE)
     model = member(fit(problem, chosen.fit, seed=seed, run=run, report=report), 0)
     about = {"preset": preset, "seed": seed, SAW: seen_data(datasets)}
     header = Header("full_dynamics", task.name, asdict(chosen.network), about)

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
+from doojax.models.protocols import above
 from doojax.modules import Jittable
-from doojax.types import Obstacles, RopeState
+from doojax.types import Judgement, Obstacles, Transition
 
 
 class Calibration(Jittable):
@@ -35,24 +36,10 @@ class CalibratedClassifier(Jittable):
     calibration: eqx.AbstractVar[Calibration]
     threshold: eqx.AbstractVar[Float[Array, ""]]
 
-    def __call__(
-        self,
-        obstacles: Obstacles,
-        state: RopeState,
-        action: Float[Array, "G 3"],
-        next_state: RopeState,
-        uncertainty: Float[Array, ""],
-    ) -> Float[Array, ""]:
-        """See `doojax.models.protocols.Reliability`; a calibrated probability."""
-        return self.calibration(self.logit(obstacles, state, action, next_state, uncertainty))
+    def __call__(self, obstacles: Obstacles, transition: Transition) -> Judgement:
+        """See `doojax.models.protocols.Reliability`; the score is a calibrated probability."""
+        return above(self.calibration(self.logit(obstacles, transition)), self.threshold)
 
     @abstractmethod
-    def logit(
-        self,
-        obstacles: Obstacles,
-        state: RopeState,
-        action: Float[Array, "G 3"],
-        next_state: RopeState,
-        uncertainty: Float[Array, ""],
-    ) -> Float[Array, ""]:
+    def logit(self, obstacles: Obstacles, transition: Transition) -> Float[Array, ""]:
         """The network's own output, before calibration."""

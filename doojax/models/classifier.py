@@ -18,7 +18,7 @@ from doojax.geometry.sdf import signed_distance_and_gradient
 from doojax.models.calibration import CalibratedClassifier, Calibration
 from doojax.models.local import Origin, chain_of, local_frame
 from doojax.modules import Jittable
-from doojax.types import Depth, Obstacles, RopeState, Size
+from doojax.types import Depth, Obstacles, Size, Transition
 
 NEAR, FAR = 0.02, 0.1  # m: the two scales on which distances are seen
 
@@ -87,16 +87,9 @@ class DistanceClassifier(CalibratedClassifier):
         self.threshold = jnp.array(0.5)
         self.config = config
 
-    def logit(
-        self,
-        obstacles: Obstacles,
-        state: RopeState,
-        action: Float[Array, "G 3"],
-        next_state: RopeState,
-        uncertainty: Float[Array, ""],
-    ) -> Float[Array, ""]:
+    def logit(self, obstacles: Obstacles, transition: Transition) -> Float[Array, ""]:
         """The network's own output, before calibration."""
-        chain, whole = self.inputs(obstacles, state, action, next_state, uncertainty)
+        chain, whole = self.inputs(obstacles, transition)
         return self.head(jnp.concatenate([self.encode(chain), whole]))[0]
 
     def encode(self, chain: Float[Array, "L f"]) -> Float[Array, "e"]:
@@ -107,16 +100,12 @@ class DistanceClassifier(CalibratedClassifier):
         return jnp.concatenate([x.mean(0), x.max(0)])
 
     def inputs(
-        self,
-        obstacles: Obstacles,
-        state: RopeState,
-        action: Float[Array, "G 3"],
-        next_state: RopeState,
-        uncertainty: Float[Array, ""],
+        self, obstacles: Obstacles, transition: Transition
     ) -> tuple[Float[Array, "L f"], Float[Array, "g"]]:
         """What the network sees: per point of the chain, and of the transition as a whole."""
+        state, action = transition.state, transition.action
         frame = local_frame(state, action, self.config.origin, "canonical")
-        begin, end = (chain_of(one, self.config.midpoints) for one in (state, next_state))
+        begin, end = (chain_of(one, self.config.midpoints) for one in (state, transition.next_state))
         moments = jnp.linspace(0.0, 1.0, self.config.moments)[:, None, None]
         x, y, z = jnp.moveaxis(begin[None] + moments * (end - begin)[None], -1, 0)
         distance, *gradient = signed_distance_and_gradient(obstacles, x, y, z)
@@ -131,5 +120,7 @@ class DistanceClassifier(CalibratedClassifier):
                 seen.reshape(-1, len(begin)),
             ]
         ).T
-        whole = jnp.append(frame.vectors_in(action).reshape(-1) / 0.1, jnp.log(uncertainty + 1e-4) + 3)
+        whole = jnp.append(
+            frame.vectors_in(action).reshape(-1) / 0.1, jnp.log(transition.uncertainty + 1e-4) + 3
+        )
         return chain, whole

@@ -83,7 +83,7 @@ class UnconstrainedDynamics(Jittable):
         )
 
     def __call__(
-        self, obstacles: Obstacles, state: RopeState, action: Float[Array, "G 3"]
+        self, obstacles: Obstacles | None, state: RopeState, action: Float[Array, "G 3"]
     ) -> tuple[RopeState, Float[Array, ""]]:
         """See `doojax.models.protocols.Dynamics`; one network alone has no doubts: 0."""
         return self.predict(state, action), jnp.zeros(())

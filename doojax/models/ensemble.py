@@ -1,13 +1,15 @@
 """Several networks trained from different seeds: their mean predicts, their spread says how sure it is."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from doojax.models.dynamics import UnconstrainedDynamics
+from doojax.models.protocols import Dynamics
+from doojax.models.rolling import roll_out
 from doojax.modules import Jittable
-from doojax.types import Obstacles, RopeState
 
 
 class Ensemble(Jittable):
@@ -18,64 +20,40 @@ class Ensemble(Jittable):
 
     In the released code each member rolls out on its own when data are labelled, but all of them start each
     step from their mean when planning, so that the classifier meets other uncertainties than it was trained
-    on. Here one step from one state is the only thing an ensemble does, `roll_out` repeats it, and labels are
-    made from that; `roll_out_members` is kept for comparison.
+    on. Here one step from one state is the only thing an ensemble does, `doojax.models.rolling.roll_out`
+    repeats it, and labels are made from that; `roll_out_members` is kept for comparison.
     """
 
-    members: UnconstrainedDynamics  # every array has a leading axis E
+    members: Any  # any dynamics, of which every array has a leading axis E
 
     @property
     def size(self) -> int:
         """Number of members, E."""
-        return self.members.input_mean.shape[0]
+        return jax.tree.leaves(eqx.filter(self.members, eqx.is_array))[0].shape[0]
 
     def __call__(
-        self, obstacles: Obstacles | None, state: RopeState, action: Float[Array, "G 3"]
-    ) -> tuple[RopeState, Float[Array, ""]]:
-        """See `doojax.models.protocols.Dynamics`."""
-        return summary(eqx.filter_vmap(lambda member: member.predict(state, action))(self.members))
+        self, obstacles: Any, state: Any, action: Float[Array, "..."]
+    ) -> tuple[Any, Float[Array, ""]]:
+        """See `doojax.models.protocols.Dynamics`; what members say of their own doubts is left out."""
 
-    def roll_out(
-        self, state: RopeState, actions: Float[Array, "T G 3"]
-    ) -> tuple[RopeState, Float[Array, "T"]]:
-        """T steps, each from the mean that the last one predicted: what a planner does.
+        def predict(member: Dynamics) -> Any:
+            return member(obstacles, state, action)[0]
 
-        Returns:
-            the T + 1 states, the first of which is given, and the uncertainty of each step.
-        """
-
-        def step(state: RopeState, action: Array):
-            after, uncertainty = self(None, state, action)
-            return after, (after, uncertainty)
-
-        _, (states, uncertainty) = jax.lax.scan(step, state, actions)
-        return with_first(state, states), uncertainty
+        return summary(eqx.filter_vmap(predict)(self.members))
 
     def roll_out_members(
-        self, state: RopeState, actions: Float[Array, "T G 3"]
-    ) -> tuple[RopeState, Float[Array, "T"]]:
+        self, obstacles: Any, state: Any, actions: Float[Array, "T ..."]
+    ) -> tuple[Any, Float[Array, "T"]]:
         """T steps of each member on its own; mean and spread are taken at each time, as the thesis does."""
-        members = eqx.filter_vmap(lambda member: roll_out(member, state, actions))(self.members)
-        means, spread = jax.vmap(summary, in_axes=1)(members)
+
+        def alone(member: Dynamics) -> Any:
+            return roll_out(member, obstacles, state, actions)[0]
+
+        means, spread = jax.vmap(summary, in_axes=1)(eqx.filter_vmap(alone)(self.members))
         return means, spread[1:]
 
 
-def roll_out(member: UnconstrainedDynamics, state: RopeState, actions: Float[Array, "T G 3"]) -> RopeState:
-    """The T + 1 states that one network predicts, the first of which is given."""
-
-    def step(state: RopeState, action: Array):
-        after = member.predict(state, action)
-        return after, after
-
-    return with_first(state, jax.lax.scan(step, state, actions)[1])
-
-
-def with_first(state: RopeState, states: RopeState) -> RopeState:
-    """T states with one put before them."""
-    return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), state, states)
-
-
-def summary(states: RopeState) -> tuple[RopeState, Float[Array, ""]]:
+def summary(states: Any) -> tuple[Any, Float[Array, ""]]:
     """Mean of E states, and the sum over all coordinates of their standard deviation."""
     spread = [leaf.std(0).sum() for leaf in jax.tree.leaves(states)]
     return jax.tree.map(lambda leaf: leaf.mean(0), states), jnp.stack(spread).sum()

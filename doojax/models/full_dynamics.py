@@ -12,7 +12,6 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from doojax.models.dynamics import with_scales
-from doojax.models.ensemble import with_first
 from doojax.models.local import flat, local_origin, unflat
 from doojax.models.rasters import Encoder, ViewConfig
 from doojax.modules import Jittable
@@ -81,15 +80,6 @@ class FullDynamics(Jittable):
     ) -> tuple[RopeState, Float[Array, ""]]:
         """See `doojax.models.protocols.Dynamics`; one network alone has no doubts: 0."""
         return self.predict(obstacles, state, action), jnp.zeros(())
-
-    def roll_out(self, obstacles: Obstacles, state: RopeState, actions: Float[Array, "T G 3"]) -> RopeState:
-        """The T + 1 states of T steps, each from the last; the first is given."""
-
-        def step(state: RopeState, action: Array):
-            after = self.predict(obstacles, state, action)
-            return after, after
-
-        return with_first(state, jax.lax.scan(step, state, actions)[1])
 
     def scaled_to(
         self, states: RopeState, actions: Float[Array, "n G 3"], after: RopeState

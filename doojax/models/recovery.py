@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from doojax.geometry.frames import exact_product
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.modules import Jittable
-from doojax.types import Obstacles, RopeState
+from doojax.types import Obstacles, RopeState, Transition
 
 
 class RecoveryNetwork(Jittable):
@@ -31,7 +31,8 @@ class RecoveryNetwork(Jittable):
 
     def logit(self, obstacles: Obstacles, state: RopeState, action: Float[Array, "G 3"]) -> Float[Array, ""]:
         """The network's own output."""
-        return self.network.logit(obstacles, state, action, carried_along(state, action), jnp.zeros(()))
+        moved = Transition(state, action, carried_along(state, action), jnp.zeros(()))
+        return self.network.logit(obstacles, moved)
 
 
 def carried_along(state: RopeState, action: Float[Array, "G 3"]) -> RopeState:

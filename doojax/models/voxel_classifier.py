@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from doojax.models.calibration import CalibratedClassifier, Calibration
 from doojax.models.local import flat, local_origin
 from doojax.models.rasters import Encoder, ViewConfig
-from doojax.types import Obstacles, RopeState, Size
+from doojax.types import Obstacles, RopeState, Size, Transition
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,10 @@ class VoxelClassifier(CalibratedClassifier):
         self.threshold = jnp.array(0.5)
         self.config = config
 
-    def logit(
-        self,
-        obstacles: Obstacles,
-        state: RopeState,
-        action: Float[Array, "G 3"],
-        next_state: RopeState,
-        uncertainty: Float[Array, ""],
-    ) -> Float[Array, ""]:
+    def logit(self, obstacles: Obstacles, transition: Transition) -> Float[Array, ""]:
         """The network's own output, before calibration."""
-        states = jax.tree.map(lambda *leaves: jnp.stack(leaves), state, next_state)
+        state, action, uncertainty = transition.state, transition.action, transition.uncertainty
+        states = jax.tree.map(lambda *leaves: jnp.stack(leaves), state, transition.next_state)
         features = jax.vmap(self.encode, (None, 0))(obstacles, states)
         actions = jnp.stack([action, jnp.zeros_like(action)])
         uncertainties = jnp.stack([jnp.zeros_like(uncertainty), uncertainty])

@@ -1,9 +1,7 @@
 """Planning with any dynamics where a reliability allows it (doojax.planning.rrt), and control by sampling."""
 
-from doojax.planning.goals import Goal as Goal
-from doojax.planning.goals import all_of as all_of
-from doojax.planning.goals import gripper_goal as gripper_goal
-from doojax.planning.goals import point_goal as point_goal
+from doojax.goals import Goal as Goal
+from doojax.goals import all_of as all_of
 from doojax.planning.mppi import HostRollouts as HostRollouts
 from doojax.planning.mppi import Mppi as Mppi
 from doojax.planning.mppi import MppiSettings as MppiSettings

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from doojax.geometry.box import Box
 from doojax.geometry.frames import exact_product
-from doojax.planning.goals import Goal
-from doojax.tasks.base import Box
-from doojax.types import RopeState
+from doojax.goals import Goal
+from doojax.types import State
 
 CHUNK = 256  # slots compared at once
 
@@ -66,7 +66,7 @@ def point_sample(
 
 
 def nearest(
-    samples: Float[Array, "L NG 3"], states: RopeState, eligible: Bool[Array, "C"], filled: Int[Array, ""]
+    samples: Float[Array, "L NG 3"], states: State, eligible: Bool[Array, "C"], filled: Int[Array, ""]
 ) -> Int[Array, "L"]:
     """The slot of the eligible state nearest to each sample, the first of equals.
 
@@ -78,21 +78,18 @@ def nearest(
     """
     count, capacity = len(samples), eligible.shape[0]
     chunk = min(CHUNK, capacity)
-    flat = samples.reshape(count, -1)
-    split = states.points[0].size
-    # Points and grippers apart, as they lie in memory: no copy of the states is made.
-    theirs = states.points.reshape(capacity, -1), states.grippers.reshape(capacity, -1)
-    ours = flat[:, :split], flat[:, split:]
+    ours = samples.reshape(count, -1)
 
     def compare(index, best):
         # A last chunk that would reach beyond the end starts earlier: some slots are then looked at twice.
         start = jnp.minimum(index * chunk, capacity - chunk)
-        points, grippers, allowed = (
-            jax.lax.dynamic_slice_in_dim(leaf, start, chunk) for leaf in (*theirs, eligible)
+        slots, allowed = jax.tree.map(
+            lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, start, chunk), (states, eligible)
         )
         allowed &= start + jnp.arange(chunk) < filled
-        length = (points**2).sum(-1) + (grippers**2).sum(-1)
-        along = exact_product(points, ours[0].T) + exact_product(grippers, ours[1].T)
+        theirs = slots.bodies().reshape(chunk, -1)  # of a chunk, because all of them would be a copy
+        length = (theirs**2).sum(-1)
+        along = exact_product(theirs, ours.T)
         squared = jnp.where(
             allowed[:, None], length[:, None] - 2 * along, jnp.inf
         )  # rejected ones may be NaN

@@ -12,7 +12,7 @@ and every budget counts extensions.
 """
 
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -21,14 +21,14 @@ import numpy as np
 from jax.random import fold_in
 from jaxtyping import Array, Bool, Float, Int
 
+from doojax.actions import nothing_of
 from doojax.models.protocols import Dynamics, Reliability
 from doojax.parts import in_parts, traced, worth_parts
-from doojax.planning.goals import bodies_of
 from doojax.planning.metric import Sampler, nearest, rope_sample
+from doojax.planning.protocols import Task
 from doojax.planning.settings import RrtSettings
 from doojax.planning.tree import Problem, Tree
-from doojax.tasks.base import Task
-from doojax.types import Obstacles, RopeState
+from doojax.types import Judgement, Obstacles, State, Transition
 
 AT_ONCE = 64  # expansions in one call
 PARTS = 2  # of the lanes, that begin anew one after another
@@ -38,7 +38,7 @@ class Lanes(eqx.Module):
     """What each of L lanes is about to try."""
 
     node: Int[Array, "*b L"]  # slot to extend from
-    action: Float[Array, "*b L G 3"]
+    action: Float[Array, "..."]  # [*b, L, ...]
     remaining: Int[Array, "*b L"]  # steps for which the action is still to be held; 0 for a lane that is free
     lucky: Bool[Array, "*b L"]  # accepted whatever the score
 
@@ -48,8 +48,8 @@ class HostDynamics(Protocol):
     """Dynamics of many elements that run outside of jit, such as a simulator in C."""
 
     def many(
-        self, obstacles: Obstacles, states: RopeState, actions: Float[Array, "R L G 3"]
-    ) -> tuple[RopeState, Float[Array, "R L"]]:
+        self, obstacles: Any, states: Any, actions: Float[Array, "R L ..."]
+    ) -> tuple[Any, Float[Array, "R L"]]:
         """What `Dynamics` gives, for L states of each of R problems."""
         ...
 
@@ -103,8 +103,8 @@ def _search(planner: Rrt, problem: Problem) -> Tree:
 
 
 def propagate(
-    dynamics: Dynamics | HostDynamics, obstacles: Obstacles, states: RopeState, actions: Array
-) -> tuple[RopeState, Array]:
+    dynamics: Dynamics | HostDynamics, obstacles: Obstacles, states: State, actions: Array
+) -> tuple[State, Array]:
     """What the dynamics give for L states of each of R problems: bit for bit what a search got from them."""
     if isinstance(dynamics, HostDynamics):
         return dynamics.many(obstacles, states, actions)
@@ -112,34 +112,28 @@ def propagate(
 
 
 def judged(
-    reliability: Reliability,
-    problem: Problem,
-    before: RopeState,
-    actions: Float[Array, "L G 3"],
-    after: RopeState,
-    uncertainty: Float[Array, "L"],
-) -> tuple[Float[Array, "L"], Bool[Array, "L"], Float[Array, "L"]]:
-    """Of L predicted steps of one problem: the scores, are they sound, and the metres to the goal after.
+    reliability: Reliability, problem: Problem, steps: Transition
+) -> tuple[Judgement, Bool[Array, "L"], Float[Array, "L"]]:
+    """Of L predicted steps of one problem: the judgements, are they sound, and the metres to the goal after.
 
-    Those are sound that are finite and not like one that was executed with another outcome.
+    Those are sound that are finite, possible, and not like one that was executed with another outcome.
     """
-    judge = jax.vmap(reliability, in_axes=(None, 0, 0, 0, 0))
-    score = judge(problem.obstacles, before, actions, after, uncertainty)
-    there = bodies_of(after)
-    sound = jnp.isfinite(there).all((-1, -2))
+    found = jax.vmap(reliability, in_axes=(None, 0))(problem.obstacles, steps)
+    there = steps.next_state.bodies()
+    sound = jnp.isfinite(there).all((-1, -2)) & found.possible
     if problem.refuted is not None:
-        sound &= ~jax.vmap(problem.refuted.forbids)(bodies_of(before), there)
-    return score, sound, jax.vmap(problem.goal.distance)(after)
+        sound &= ~jax.vmap(problem.refuted.forbids)(steps.state.bodies(), there)
+    return found, sound, jax.vmap(problem.goal.distance)(steps.next_state)
 
 
 def spread_after(
-    before: Float[Array, "*b"], uncertainty: Float[Array, "*b"], state: RopeState
+    before: Float[Array, "*b"], uncertainty: Float[Array, "*b"], state: State
 ) -> Float[Array, "*b"]:
     """Metres by which a body may be off after a step, as its state was by ``before``.
 
     What a dynamics' uncertainty adds is its mean over the bodies, independent of what came before.
     """
-    return jnp.hypot(before, uncertainty / bodies_of(state).shape[-2])
+    return jnp.hypot(before, uncertainty / state.bodies().shape[-2])
 
 
 @eqx.filter_jit(donate="all-except-first")
@@ -192,7 +186,7 @@ def _propose(
     tree: Tree,
     lanes: Lanes,
     first: Int[Array, ""],
-) -> tuple[Lanes, RopeState]:
+) -> tuple[Lanes, State]:
     def one(problem, tree, lanes):
         return _propose_one(task, settings, sampler, problem, tree, lanes, first)
 
@@ -221,13 +215,13 @@ def _insert_jitted(arguments: tuple, tree: Tree) -> tuple[Tree, Lanes]:
 
 
 def _start_one(task: Task, settings: RrtSettings, problem: Problem) -> tuple[Tree, Lanes]:
-    start = problem.start
+    start, nothing = problem.start, nothing_of(task.actions)
     capacity = 1 + settings.expansions * settings.lanes
     distance = problem.goal.distance(start)
     there = distance <= settings.reach(problem.goal.tolerance, jnp.zeros(()))
     tree = Tree(
         state=jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (capacity, *leaf.shape)), start),
-        action=jnp.zeros((capacity, task.grippers, 3)),
+        action=jnp.broadcast_to(nothing, (capacity, *nothing.shape)),
         parent=jnp.full(capacity, -1, dtype=jnp.int32),
         accepted=jnp.arange(capacity) == 0,
         score=jnp.full(capacity, jnp.nan, dtype=jnp.float32),
@@ -240,7 +234,7 @@ def _start_one(task: Task, settings: RrtSettings, problem: Problem) -> tuple[Tre
     )
     lanes = Lanes(
         node=jnp.zeros(settings.lanes, dtype=jnp.int32),
-        action=jnp.zeros((settings.lanes, task.grippers, 3)),
+        action=jnp.broadcast_to(nothing, (settings.lanes, *nothing.shape)),
         remaining=jnp.zeros(settings.lanes, dtype=jnp.int32),
         lucky=jnp.zeros(settings.lanes, dtype=bool),
     )
@@ -255,18 +249,17 @@ def _propose_one(
     tree: Tree,
     lanes: Lanes,
     first: Int[Array, ""],
-) -> tuple[Lanes, RopeState]:
+) -> tuple[Lanes, State]:
     """What every lane tries next, and the states that it starts from."""
     key = fold_in(problem.key, first)
     draw_key, sample_key, action_key = jax.random.split(key, 3)
     draws = jax.random.uniform(draw_key, (4, settings.lanes))
 
-    held = (lanes.remaining > 0) & jax.vmap(task.valid_action, in_axes=(0, 0, None))(
-        _at(tree.state, lanes.node), lanes.action, "constrained"
-    )
+    valid = jax.vmap(task.actions.valid)(_at(tree.state, lanes.node), lanes.action)
+    held = (lanes.remaining > 0) & valid
     direct = jax.vmap(lambda *arguments: _directed_action(task, settings.candidates, *arguments))
 
-    def begin_anew(some: Int[Array, "P"]) -> tuple[Int[Array, "P"], Float[Array, "P G 3"]]:
+    def begin_anew(some: Int[Array, "P"]) -> tuple[Int[Array, "P"], Float[Array, "P ..."]]:
         """Where some lanes begin, and what they are about to do."""
         # The shape of any state of the tree: where that was rejected, its parent's.
         slots = jnp.minimum(draws[0, some] * first, first - 1).astype(jnp.int32)
@@ -277,7 +270,7 @@ def _propose_one(
         samples = jax.vmap(sampler, in_axes=(0, None, 0, None, 0))(
             sample_keys,
             task.workspace,
-            bodies_of(_at(tree.state, slots)),
+            _at(tree.state, slots).bodies(),
             problem.goal,
             draws[1, some] < settings.goal_bias,
         )
@@ -299,7 +292,7 @@ def _propose_one(
     duration = 1 + jnp.minimum(draws[2] * settings.duration, settings.duration - 1).astype(jnp.int32)
     proposed = Lanes(
         node=node,
-        action=jnp.where(held[:, None, None], lanes.action, fresh),
+        action=jnp.where(held.reshape(-1, *[1] * (fresh.ndim - 1)), lanes.action, fresh),
         remaining=jnp.where(held, lanes.remaining, duration),
         lucky=draws[3] < settings.random_accept,
     )
@@ -307,14 +300,15 @@ def _propose_one(
 
 
 def _directed_action(
-    task: Task, candidates: int, key: Array, state: RopeState, sample: Float[Array, "NG 3"]
-) -> Float[Array, "G 3"]:
-    """Of the valid ones of some random actions, that which brings the grippers nearest to the sample's."""
-    actions = jax.vmap(task.draw_action)(jax.random.split(key, candidates))
-    valid = jax.vmap(lambda action: task.valid_action(state, action, "constrained"))(actions)
-    missing = sample[-task.grippers :] - state.grippers - actions
-    distance = jnp.where(valid, (missing**2).sum((-1, -2)), jnp.inf)
-    return jnp.where(valid.any(), actions[jnp.argmin(distance)], task.retreat(state, "constrained"))
+    task: Task, candidates: int, key: Array, state: State, sample: Float[Array, "K 3"]
+) -> Float[Array, "..."]:
+    """Of the valid ones of some random actions, that which brings what is commanded nearest to the sample."""
+    space = task.actions
+    actions = jax.vmap(space.draw)(jax.random.split(key, candidates))
+    valid = jax.vmap(lambda action: space.valid(state, action))(actions)
+    distance = jax.vmap(lambda action: space.missing(state, action, sample))(actions)
+    best = jnp.argmin(jnp.where(valid, distance, jnp.inf))
+    return jnp.where(valid.any(), actions[best], space.retreat(state))
 
 
 def _insert_one(
@@ -324,13 +318,14 @@ def _insert_one(
     tree: Tree,
     problem: Problem,
     lanes: Lanes,
-    parents: RopeState,
-    after: RopeState,
+    parents: State,
+    after: State,
     uncertainty: Float[Array, "L"],
 ) -> tuple[Tree, Lanes]:
     """The tree with what was tried, and the lanes where they got to. A tree that is done stays as it is."""
-    score, sound, distance = judged(reliability, problem, parents, lanes.action, after, uncertainty)
-    accepted = sound & ((score > reliability.threshold) | lanes.lucky)
+    steps = Transition(parents, lanes.action, after, uncertainty)
+    found, sound, distance = judged(reliability, problem, steps)
+    accepted = sound & (found.accepted | lanes.lucky)
     done = tree.solved | tree.stuck
     accepted &= ~done
 
@@ -349,7 +344,7 @@ def _insert_one(
         action=write(tree.action, lanes.action),
         parent=write(tree.parent, lanes.node),
         accepted=everything,
-        score=write(tree.score, score),
+        score=write(tree.score, found.score),
         goal_distance=write(tree.goal_distance, distance),
         spread=write(tree.spread, spread),
         reached=write(tree.reached, near),
@@ -366,5 +361,5 @@ def _insert_one(
     return grown, moved
 
 
-def _at(states: RopeState, slots: Int[Array, "L"]) -> RopeState:
+def _at(states: State, slots: Int[Array, "L"]) -> State:
     return jax.tree.map(lambda leaf: leaf[slots], states)

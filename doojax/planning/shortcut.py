@@ -1,8 +1,9 @@
 """Shorter plans by shortcuts through a plan, every step of them judged anew (thesis section 2.3.5).
 
-A shortcut takes the grippers straight from where they are at one state of the plan to where they are at a
-later one, in fewer actions, and then goes on as the plan does. The rope lies elsewhere after it, so all that
-follows is predicted and judged again, by the same dynamics and the same constraint as in the search.
+A shortcut takes what is commanded, such as grippers, straight from where it is at one state of the plan to
+where it is at a later one, in fewer actions, and then goes on as the plan does. The rope lies elsewhere after
+it, so all that follows is predicted and judged again, by the same dynamics and the same constraint as in the
+search.
 """
 
 import equinox as eqx
@@ -11,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from doojax.actions import ActionSpace
 from doojax.planning.rrt import Rrt, judged, propagate, spread_after
 from doojax.planning.tree import Plan, Problem, Tree
-from doojax.types import RopeState
+from doojax.types import State, Transition
 
 
 def shortened(planner: Rrt, problem: Problem, tree: Tree, plan: Plan) -> tuple[Tree, Plan]:
@@ -46,7 +48,8 @@ def _round(
     leave = rng.integers(0, length - 1, lanes)
     arrive = rng.integers(leave + 2, length + 1)
     moves = rng.integers(0, arrive - leave)
-    sequences = [_sequence(plan, *choice) for choice in np.stack([leave, arrive, moves], 1).tolist()]
+    space = planner.task.actions
+    sequences = [_sequence(space, plan, *choice) for choice in np.stack([leave, arrive, moves], 1).tolist()]
     ends = np.array([len(sequence) for sequence in sequences])
     actions = np.zeros((ends.max(), lanes, *plan.actions.shape[1:]), np.float32)
     for lane, sequence in enumerate(sequences):
@@ -63,7 +66,7 @@ def _round(
         before = jax.tree.map(lambda leaf: leaf[None], states)
         after, uncertainty = propagate(planner.dynamics, obstacles, before, jnp.asarray(action)[None])
         after, uncertainty = jax.tree.map(lambda leaf: leaf[0], (after, uncertainty))
-        found = _judge(judge, problem, states, jnp.asarray(action), after, uncertainty)
+        found = _judge(judge, problem, Transition(states, jnp.asarray(action), after, uncertainty))
         score, fine, distance = (np.asarray(values) for values in found)
         spread = spread_after(spread, uncertainty, after)
         there = distance <= np.asarray(planner.settings.reach(jnp.asarray(problem.goal.tolerance), spread))
@@ -86,30 +89,32 @@ def _round(
     return _grafted(tree, plan, int(leave[lane]), actions[:count, lane], lane, steps[:count])
 
 
-def _sequence(plan: Plan, leave: int, arrive: int, moves: int) -> Float[np.ndarray, "t G 3"]:
+def _sequence(
+    space: ActionSpace, plan: Plan, leave: int, arrive: int, moves: int
+) -> Float[np.ndarray, "t ..."]:
     """The actions of a shortcut, and what the plan does after it."""
-    grippers = np.asarray(plan.states.grippers)
-    straight = (grippers[arrive] - grippers[leave]) / max(moves, 1)
+    first, last = (jax.tree.map(lambda leaf, i=i: leaf[i], plan.states) for i in (leave, arrive))
+    straight = np.asarray(space.between(first, last, moves))
     return np.concatenate([np.repeat(straight[None], moves, axis=0), plan.actions[arrive:]])
 
 
 @eqx.filter_jit
 def _judge(
-    planner: Rrt, problem: Problem, before: RopeState, actions: Array, after: RopeState, uncertainty: Array
+    planner: Rrt, problem: Problem, steps: Transition
 ) -> tuple[Float[Array, "L"], Bool[Array, "L"], Float[Array, "L"]]:
     """Of each step: its score, may it be in a plan, and the metres to the goal after it."""
-    score, sound, distance = judged(planner.reliability, problem, before, actions, after, uncertainty)
-    allow = jax.vmap(lambda state, action: planner.task.valid_action(state, action, "constrained"))
-    return score, sound & allow(before, actions) & (score > planner.reliability.threshold), distance
+    found, sound, distance = judged(planner.reliability, problem, steps)
+    allow = jax.vmap(planner.task.actions.valid)(steps.state, steps.action)
+    return found.score, sound & allow & found.accepted, distance
 
 
 def _grafted(
     tree: Tree,
     plan: Plan,
     leave: int,
-    actions: Float[np.ndarray, "t G 3"],
+    actions: Float[np.ndarray, "t ..."],
     lane: int,
-    steps: list[tuple[RopeState, np.ndarray, np.ndarray, np.ndarray]],
+    steps: list[tuple[State, np.ndarray, np.ndarray, np.ndarray]],
 ) -> tuple[Tree, Plan]:
     """The tree with the steps of one lane behind the plan's node number ``leave``."""
     used, count = int(tree.used), len(actions)

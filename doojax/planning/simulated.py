@@ -12,7 +12,7 @@ from doojax.modules import Jittable
 from doojax.planning.rrt import HostDynamics
 from doojax.simulation.scenes import parked_poses
 from doojax.simulation.state import SimState, Simulator
-from doojax.types import Obstacles, RopeState
+from doojax.types import Motion, Obstacles, RopeState, State
 
 
 class SimulatedState(RopeState):
@@ -21,14 +21,34 @@ class SimulatedState(RopeState):
     simulation: SimState
 
 
+class SimulatedBodies(eqx.Module):
+    """Any other state with all that its simulation needs to go on."""
+
+    seen: Any  # a State
+    simulation: SimState
+
+    @property
+    def passive(self) -> int:
+        """As of what is seen."""
+        return self.seen.passive
+
+    def bodies(self) -> Float[Array, "*b K 3"]:
+        """As of what is seen."""
+        return self.seen.bodies()
+
+    def moved(self, motion: Motion) -> State:
+        """What is seen elsewhere, without its simulation."""
+        return self.seen.moved(motion)
+
+
 class Simulated(Jittable):
-    """One step of a simulator that is pure, as `Dynamics` of `SimulatedState`; obstacles are in the state."""
+    """One step of a simulator that is pure, as `Dynamics` of states with it; obstacles are in the state."""
 
     simulator: Simulator
 
     def __call__(
-        self, obstacles: Obstacles, state: RopeState, action: Float[Array, "G 3"]
-    ) -> tuple[SimulatedState, Float[Array, ""]]:
+        self, obstacles: Obstacles, state: State, action: Float[Array, "..."]
+    ) -> tuple[State, Float[Array, ""]]:
         """The next state, NaN where the simulation broke down; no uncertainty."""
         after = self.simulator.step(_simulation(state), action)
         return _seen(after, self.simulator.observe(after)), jnp.zeros(())
@@ -42,14 +62,14 @@ class HostSimulated:
         self._simulator = simulator
 
     def many(
-        self, obstacles: Obstacles, states: RopeState, actions: Float[Array, "R L G 3"]
-    ) -> tuple[SimulatedState, Float[Array, "R L"]]:
+        self, obstacles: Obstacles, states: State, actions: Float[Array, "R L ..."]
+    ) -> tuple[State, Float[Array, "R L"]]:
         """The next states; see `Simulated`."""
         shape = actions.shape[:2]
         flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), _simulation(states))
         last, trajectory = self._simulator.rollout(flat, actions.reshape(-1, 1, *actions.shape[2:]))
-        rope = jax.tree.map(lambda leaf: leaf[:, -1], trajectory.states)
-        after = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), _seen(last, rope))
+        seen = jax.tree.map(lambda leaf: leaf[:, -1], trajectory.states)
+        after = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), _seen(last, seen))
         return after, jnp.zeros(shape)
 
 
@@ -89,9 +109,7 @@ class SimulatedRollouts:
         return Tried(seen, trajectory.faults, clearance, stretch)
 
 
-def simulated_start(
-    simulator: Simulator, states: SimState, *, without_obstacles: bool = False
-) -> SimulatedState:
+def simulated_start(simulator: Simulator, states: SimState, *, without_obstacles: bool = False) -> State:
     """A batch of states to plan from; without obstacles the dynamics are the unconstrained ones, exact."""
     seen = simulator.observations(states).state
     if without_obstacles:
@@ -104,15 +122,27 @@ def simulated_start(
                 jnp.broadcast_to(quaternion, states.obstacle_quaternion.shape),
             ),
         )
-    return SimulatedState(points=seen.points, grippers=seen.grippers, simulation=states)
+    return _with(seen, states)
 
 
-def _simulation(state: RopeState) -> SimState:
-    if not isinstance(state, SimulatedState):
-        raise ValueError("planning with a simulator begins at simulated_start(...), got a plain RopeState")
+def _simulation(state: State) -> SimState:
+    if not isinstance(state, SimulatedState | SimulatedBodies):
+        raise ValueError(
+            f"planning with a simulator begins at simulated_start(...), got a plain {type(state).__name__}"
+        )
     return state.simulation
 
 
-def _seen(after: SimState, rope: RopeState) -> SimulatedState:
-    points = jnp.where((after.faults == 0)[..., None, None], rope.points, jnp.nan)
-    return SimulatedState(points=points, grippers=rope.grippers, simulation=after)
+def _seen(after: SimState, seen: State) -> State:
+    sound = after.faults == 0
+
+    def known(leaf: Array) -> Array:
+        return jnp.where(sound.reshape(*sound.shape, *[1] * (leaf.ndim - sound.ndim)), leaf, jnp.nan)
+
+    return _with(jax.tree.map(known, seen), after)
+
+
+def _with(seen: State, simulation: SimState) -> State:
+    if isinstance(seen, RopeState):
+        return SimulatedState(points=seen.points, grippers=seen.grippers, simulation=simulation)
+    return SimulatedBodies(seen, simulation)

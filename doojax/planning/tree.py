@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from doojax.geometry.sdf import signed_distance
-from doojax.planning.goals import Goal, bodies_of
+from doojax.goals import Goal
 from doojax.planning.memory import Refuted
-from doojax.tasks.base import Task
-from doojax.types import Obstacles, RopeState
+from doojax.planning.protocols import Task
+from doojax.types import Obstacles, State
 
 Status = Literal["solved", "exhausted", "stuck"]
 
@@ -20,7 +20,7 @@ class Problem(eqx.Module):
     """From where to where among what; the first axis of every leaf counts problems in a batch."""
 
     obstacles: Obstacles
-    start: RopeState  # or a subclass that carries along what the dynamics need
+    start: State  # or a subclass that carries along what the dynamics need
     goal: Goal
     key: Array
     refuted: Refuted | None = None  # outcomes that were not as predicted
@@ -29,8 +29,8 @@ class Problem(eqx.Module):
 class Tree(eqx.Module):
     """Everything that was tried; C slots, of which the first ``used`` are filled."""
 
-    state: RopeState  # [C]
-    action: Float[Array, "*b C G 3"]  # that led here, metres
+    state: State  # [C]
+    action: Float[Array, "..."]  # [*b, C, ...], that led here
     parent: Int[Array, "*b C"]  # -1 for the start
     accepted: Bool[Array, "*b C"]
     score: Float[Array, "*b C"]  # as the reliability gave it; NaN for the start
@@ -47,8 +47,8 @@ class Plan(NamedTuple):
 
     status: Status
     nodes: Int[np.ndarray, "m"]  # slots from the start on
-    actions: Float[np.ndarray, "t G 3"]  # m - 1 displacements, metres
-    states: RopeState  # predicted, [m]
+    actions: Float[np.ndarray, "t ..."]  # m - 1
+    states: State  # predicted, [m]
     goal_distance: float  # m, predicted at the end
     extensions: int  # tried, those of shortcuts included
     accepted: int
@@ -61,10 +61,10 @@ def check_problem(task: Task, problem: Problem) -> None:
         ValueError: the goal cannot be reached, see `require_reachable`, or the start is inside an obstacle.
     """
     require_reachable(task, *jax.tree.map(lambda leaf: leaf[None], (problem.obstacles, problem.goal)))
-    distance = np.asarray(signed_distance(problem.obstacles, bodies_of(problem.start)))
+    distance = np.asarray(signed_distance(problem.obstacles, problem.start.bodies()))
     if not (distance > 0).all():
         body = int(np.argmin(distance))
-        points = problem.start.points.shape[0]
+        points = problem.start.passive
         name = f"point {body} of the rope" if body < points else f"gripper {body - points}"
         raise ValueError(
             f"the scene is in collision at the start: {name} is {-100 * distance[body]:.1f} cm inside an "
@@ -82,8 +82,7 @@ def require_reachable(task: Task, obstacles: Obstacles, goals: Goal) -> None:
     targets, tolerance = np.asarray(goals.targets), np.asarray(goals.tolerance)
     inside = np.asarray(task.workspace.contains(goals.targets))
     depth = -np.asarray(jax.jit(jax.vmap(signed_distance))(obstacles, goals.targets))
-    along = _along_rope(task)
-    reach = np.abs(along[:, None] - along)
+    reach = np.asarray(task.reach())
     for goal, bodies in enumerate(np.asarray(goals.bodies)):
         for one, target in enumerate(targets[goal]):
             place = [round(float(value), 3) for value in target]
@@ -105,14 +104,6 @@ def require_reachable(task: Task, obstacles: Obstacles, goals: Goal) -> None:
                         f"the goal {place} and another are {apart:.2f} m apart, expected at most "
                         f"{longest:.2f} m: the rope between what is to reach them is not longer"
                     )
-
-
-def _along_rope(task: Task) -> Float[np.ndarray, "NG"]:
-    """Where along the rope (m) its points are, and what the grippers hold."""
-    links = task.scene.links
-    hands = task.scene.grippers
-    held = [hand.link + hand.end / 2 for hand in hands if hand.link is not None]
-    return (np.array([*range(links), *held]) + 0.5) * task.scene.rope_part.parameters.length / links
 
 
 def plan_of(tree: Tree) -> Plan:

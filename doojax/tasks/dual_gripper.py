@@ -6,13 +6,16 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
+from doojax.actions import first_valid
 from doojax.geometry.frames import exact_product, quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
+from doojax.goals import Goal
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
-from doojax.tasks.base import Box, Phase, check_phase, first_valid, repeated_or_drawn, short_enough
+from doojax.tasks.base import Box, Phase, check_phase
+from doojax.tasks.grippers import GripperMoves, along_rope, point_goal, rope_state
 from doojax.types import Obstacles, RopeState, ShapeKind
 
 LINKS, LENGTH, RADIUS = 25, 0.8, 0.01
@@ -87,6 +90,7 @@ class DualGripper:
     """
 
     name: str = "dual_gripper"
+    phase: Phase = "constrained"
     grippers: int = 2
     goal_threshold: float = 0.05
     goal_point: int = MIDPOINT
@@ -94,14 +98,22 @@ class DualGripper:
     scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
 
     @classmethod
-    def crowded(cls, crowd: int) -> "DualGripper":
-        """The task with ``crowd`` times the usual number of obstacles."""
-        return cls(scene=default_scene(crowd))
+    def of(cls, phase: Phase, crowd: int) -> "DualGripper":
+        """The task in a phase with ``crowd`` times the usual number of obstacles."""
+        return cls(phase=phase, scene=default_scene(crowd))
 
     @property
-    def trajectory_states(self) -> dict[str, int]:
-        """States of a trajectory in the thesis's data, by phase."""
-        return {"unconstrained": 10, "constrained": 20}
+    def trajectory_states(self) -> int:
+        """States of a trajectory in the thesis's data."""
+        return 10 if self.phase == "unconstrained" else 20
+
+    @property
+    def actions(self) -> GripperMoves:
+        """Displacements of at most 0.1 m each, within the phase's reach and no farther apart than it allows.
+
+        Drawn as in the released code; where nothing else is valid the grippers close in on each other.
+        """
+        return GripperMoves(MAX_ACTION, REACH[self.phase], self.grippers, MAX_GAP[self.phase])
 
     @cached_property
     def _bank(self):
@@ -121,74 +133,43 @@ class DualGripper:
         actions = np.concatenate([np.repeat(step, moves, 1), np.zeros((BANK, SETTLE_PERIODS, 2, 3))], axis=1)
         return settle_bank(self.scene, np.tile(straight_qpos(self.scene, 1.0), (BANK, 1)), actions)
 
-    def start(self, phase: Phase = "constrained"):
+    def start(self):
         """The function that draws a start from a key."""
         from doojax.tasks.starts import RandomStart
 
-        check_phase(phase)
+        check_phase(self.phase)
         crowd = (len(self.scene.obstacles) - 1) // (len(BOXES) + 2)
         return RandomStart(
             self._bank,
             scene=self.scene,
-            place_rope=partial(_place_rope, REACH[phase]),
-            placements=_placements(crowd) if phase == "constrained" else None,
+            place_rope=partial(_place_rope, REACH[self.phase]),
+            placements=_placements(crowd) if self.phase == "constrained" else None,
         )
 
-    def simulator(self, engine: str = "auto", phase: Phase = "constrained"):
+    @property
+    def blank(self) -> RopeState:
+        """A state of zeros."""
+        return rope_state(self)
+
+    def simulator(self, engine: str = "auto"):
         """The scene on an engine; see `Task.simulator`."""
         from doojax.simulation.engines import make_simulator
 
-        return make_simulator(self.scene, self.start(phase), engine)
+        return make_simulator(self.scene, self.start(), engine)
 
-    def sample_action(
-        self, key: Array, state: RopeState, previous: Float[Array, "2 3"], phase: Phase = "constrained"
-    ) -> Float[Array, "2 3"]:
-        """Displacements of at most 0.1 m each, the same as before with probability 0.8.
-
-        Direction by uniform pitch and yaw, length uniform (more small moves than a uniform ball has), as in
-        the released code. Redrawn if a target leaves the reach or the grippers part by more than the phase
-        allows; failing that the grippers close in on each other.
-        """
-        return repeated_or_drawn(self, key, state, previous, phase)
-
-    def draw_action(self, key: Array) -> Float[Array, "2 3"]:
-        """Uniform in pitch, yaw and length, each gripper by itself."""
-        pitch_key, yaw_key, length_key = jax.random.split(key, 3)
-        pitch = jax.random.uniform(pitch_key, (2,), minval=-jnp.pi, maxval=jnp.pi)
-        yaw = jax.random.uniform(yaw_key, (2,), minval=-jnp.pi, maxval=jnp.pi)
-        length = jax.random.uniform(length_key, (2, 1), maxval=MAX_ACTION)
-        direction = [jnp.cos(pitch) * jnp.cos(yaw), jnp.cos(pitch) * jnp.sin(yaw), jnp.sin(pitch)]
-        return length * jnp.stack(direction, axis=-1)
-
-    def retreat(self, state: RopeState, phase: Phase = "constrained") -> Float[Array, "2 3"]:
-        """The grippers close in on each other, in reach."""
-        inside = REACH[phase].clip(state.grippers)
-        closing = 0.9 * (inside - inside.mean(0)) + inside.mean(0) - state.grippers
-        return closing * jnp.minimum(
-            1.0, MAX_ACTION / (jnp.linalg.norm(closing, axis=-1, keepdims=True) + 1e-9)
-        )
-
-    def valid_action(
-        self, state: RopeState, action: Float[Array, "2 3"], phase: Phase = "constrained"
-    ) -> Bool[Array, ""]:
-        """Moves of at most 0.1 m to targets in reach, no further apart than the phase allows?"""
-        target = state.grippers + action
-        gap = jnp.linalg.norm(target[0] - target[1])
-        inside = REACH[phase].contains(target).all()
-        return inside & (gap < MAX_GAP[phase]) & short_enough(action, MAX_ACTION)
-
-    def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
+    def sample_goal(self, key: Array, obstacles: Obstacles) -> Goal:
         """A point for the midpoint, above the table, at least the threshold from every obstacle."""
         region = Box((0.6, -0.4, 0.6), (1.1, 0.4, 0.85))
 
         def clear(goal):
             return signed_distance(obstacles, goal) > self.goal_threshold
 
-        return first_valid(key, region.sample, clear, fallback=jnp.array([0.85, 0.0, 0.85]))
+        place = first_valid(key, region.sample, clear, fallback=jnp.array([0.85, 0.0, 0.85]))
+        return point_goal(self, place)
 
-    def goal_distance(self, state: RopeState, goal: Float[Array, "3"]) -> Float[Array, ""]:
-        """Metres between the rope's midpoint and ``goal``."""
-        return jnp.linalg.norm(state.points[MIDPOINT] - goal)
+    def reach(self) -> Float[np.ndarray, "NG NG"]:
+        """The rope's length between its points and what the grippers hold, metres."""
+        return along_rope(self)
 
 
 def _box(size: tuple[float, float, float], offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:

@@ -6,21 +6,16 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
+from doojax.actions import first_valid
 from doojax.geometry.frames import quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
+from doojax.goals import Goal
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
-from doojax.tasks.base import (
-    Box,
-    Phase,
-    check_phase,
-    first_valid,
-    planar_action,
-    repeated_or_drawn,
-    short_enough,
-)
+from doojax.tasks.base import Box, Phase, check_phase
+from doojax.tasks.grippers import GripperMoves, along_rope, point_goal, rope_state
 from doojax.types import Obstacles, RopeState, ShapeKind
 
 LINKS, RADIUS = 10, 0.02
@@ -70,6 +65,7 @@ class RopeDragging:
     """
 
     name: str = "rope_dragging"
+    phase: Phase = "constrained"
     grippers: int = 1
     goal_threshold: float = 0.05
     goal_point: int = 0
@@ -77,14 +73,19 @@ class RopeDragging:
     scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
 
     @classmethod
-    def crowded(cls, crowd: int) -> "RopeDragging":
-        """The task with ``crowd`` times the usual number of obstacles."""
-        return cls(scene=default_scene(crowd))
+    def of(cls, phase: Phase, crowd: int) -> "RopeDragging":
+        """The task in a phase with ``crowd`` times the usual number of obstacles."""
+        return cls(phase=phase, scene=default_scene(crowd))
 
     @property
-    def trajectory_states(self) -> dict[str, int]:
-        """States of a trajectory in the thesis's data, by phase."""
-        return {"unconstrained": 10, "constrained": 50}
+    def trajectory_states(self) -> int:
+        """States of a trajectory in the thesis's data."""
+        return 10 if self.phase == "unconstrained" else 50
+
+    @property
+    def actions(self) -> GripperMoves:
+        """Displacements in the plane, at most 0.15 m long, to within 1.2 m of the arena's centre lines."""
+        return GripperMoves(MAX_ACTION, EXTENT)
 
     @cached_property
     def _bank(self):
@@ -96,12 +97,12 @@ class RopeDragging:
         starts = np.tile(straight_qpos(self.scene, RADIUS), (BANK, 1))
         return settle_bank(self.scene, starts, actions[:, :, None])
 
-    def start(self, phase: Phase = "constrained"):
+    def start(self):
         """The function that draws a start from a key."""
         from doojax.tasks.starts import RandomStart
 
-        check_phase(phase)
-        constrained = phase == "constrained"
+        check_phase(self.phase)
+        constrained = self.phase == "constrained"
         crowd = (len(self.scene.obstacles) - WALLS) // (CUBES + CORNERS)
         return RandomStart(
             self._bank,
@@ -110,47 +111,30 @@ class RopeDragging:
             placements=_placements(crowd) if constrained else None,
         )
 
-    def simulator(self, engine: str = "auto", phase: Phase = "constrained"):
+    @property
+    def blank(self) -> RopeState:
+        """A state of zeros."""
+        return rope_state(self)
+
+    def simulator(self, engine: str = "auto"):
         """The scene on an engine; see `Task.simulator`."""
         from doojax.simulation.engines import make_simulator
 
-        return make_simulator(self.scene, self.start(phase), engine)
+        return make_simulator(self.scene, self.start(), engine)
 
-    def sample_action(
-        self, key: Array, state: RopeState, previous: Float[Array, "1 3"], phase: Phase = "constrained"
-    ) -> Float[Array, "1 3"]:
-        """A displacement in the plane, at most 0.15 m long, the same as before with probability 0.8.
-
-        The direction and the length are uniform; targets outside the arena's extent (1.2 m) are redrawn.
-        """
-        return repeated_or_drawn(self, key, state, previous, phase)
-
-    def draw_action(self, key: Array) -> Float[Array, "1 3"]:
-        """Uniform in direction and in length."""
-        return planar_action(key, MAX_ACTION)
-
-    def retreat(self, state: RopeState, phase: Phase = "constrained") -> Float[Array, "1 3"]:
-        """To the nearest point of the arena's extent."""
-        return EXTENT.clip(state.grippers) - state.grippers
-
-    def valid_action(
-        self, state: RopeState, action: Float[Array, "1 3"], phase: Phase = "constrained"
-    ) -> Bool[Array, ""]:
-        """Is the action at most 0.15 m long, and its target within 1.2 m of the arena's centre lines?"""
-        return EXTENT.contains(state.grippers + action).all() & short_enough(action, MAX_ACTION)
-
-    def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
+    def sample_goal(self, key: Array, obstacles: Obstacles) -> Goal:
         """A point for the tail, in +-0.7 m, at least twice the threshold from every obstacle."""
         region = Box((-0.7, -0.7, RADIUS), (0.7, 0.7, RADIUS))
 
         def clear(goal):
             return signed_distance(obstacles, goal) > 2 * self.goal_threshold
 
-        return first_valid(key, region.sample, clear, fallback=jnp.array([0.0, 0.0, RADIUS]))
+        place = first_valid(key, region.sample, clear, fallback=jnp.array([0.0, 0.0, RADIUS]))
+        return point_goal(self, place)
 
-    def goal_distance(self, state: RopeState, goal: Float[Array, "3"]) -> Float[Array, ""]:
-        """Metres between the tail and ``goal``."""
-        return jnp.linalg.norm(state.points[0] - goal)
+    def reach(self) -> Float[np.ndarray, "NG NG"]:
+        """The rope's length between its points and what the gripper holds, metres."""
+        return along_rope(self)
 
 
 def _place_rope(extent: float, key: Array, points: Float[Array, "P 3"]) -> tuple[Array, Array]:

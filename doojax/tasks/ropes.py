@@ -77,7 +77,10 @@ def task_of(config: dict[str, Any]) -> Task:
     """The task that a data set's config names, with the rope that it was collected with."""
     from doojax.tasks import make_task
 
-    return with_rope(make_task(config["task"]), OtherRope(**config.get("rope", {})))
+    return with_rope(
+        make_task(config["task"], phase=config.get("phase", "constrained")),
+        OtherRope(**config.get("rope", {})),
+    )
 
 
 def _require_physics(task: Task) -> None:

@@ -5,28 +5,25 @@ from dataclasses import dataclass, field
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Float
 
+from doojax.actions import first_valid
 from doojax.geometry.sdf import signed_distance
+from doojax.goals import Goal
 from doojax.modules import Jittable
 from doojax.simulation.layout import Observation, clearance, stretch
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, obstacles_at, parked_poses
 from doojax.simulation.state import SimState, at_rest
-from doojax.tasks.base import (
-    Box,
-    Phase,
-    check_phase,
-    first_valid,
-    planar_action,
-    repeated_or_drawn,
-    short_enough,
-)
+from doojax.tasks.base import Box, Phase, check_phase
+from doojax.tasks.grippers import GripperMoves, along_rope, point_goal, rope_state
 from doojax.types import Obstacles, RopeState, ShapeKind, Trajectory
 
 LINKS, PITCH, RADIUS, HEIGHT = 5, 0.05, 0.01, 0.05
 MAX_ACTION = 0.1
 REACH = Box((-0.5, -0.5, HEIGHT), (0.5, 0.5, HEIGHT))
+HANDS = Box((-0.5, -0.5, 0.0), (0.5, 0.5, 1.0))
 WALL = (0.15, -0.1, HEIGHT)  # centre of the one obstacle, m
 MORE = (-0.15, 0.2, HEIGHT)  # of the second; further ones stand where it does
 
@@ -145,6 +142,7 @@ class Toy:
     """One gripper in a plane; the tail (point 0) is to come within 5 cm of a point."""
 
     name: str = "toy"
+    phase: Phase = "constrained"
     grippers: int = 1
     goal_threshold: float = 0.05
     goal_point: int = 0
@@ -152,49 +150,39 @@ class Toy:
     scene: Scene = field(default_factory=default_scene)
 
     @classmethod
-    def crowded(cls, crowd: int) -> "Toy":
-        """The task with ``crowd`` times the usual number of obstacles."""
-        return cls(scene=default_scene(crowd))
+    def of(cls, phase: Phase, crowd: int) -> "Toy":
+        """The task in a phase with ``crowd`` times the usual number of obstacles."""
+        return cls(phase=phase, scene=default_scene(crowd))
 
     @property
-    def trajectory_states(self) -> dict[str, int]:
-        """States of a trajectory, by phase."""
-        return {"unconstrained": 10, "constrained": 20}
+    def trajectory_states(self) -> int:
+        """States of a trajectory."""
+        return 10 if self.phase == "unconstrained" else 20
 
-    def simulator(self, engine: str = "auto", phase: Phase = "constrained") -> ToySimulator:
+    @property
+    def actions(self) -> GripperMoves:
+        """Displacements of at most 0.1 m in the plane, to targets in reach."""
+        return GripperMoves(MAX_ACTION, HANDS)
+
+    @property
+    def blank(self) -> RopeState:
+        """A state of zeros."""
+        return rope_state(self)
+
+    def simulator(self, engine: str = "auto") -> ToySimulator:
         """The analytic dynamics, whatever the engine."""
-        check_phase(phase)
-        return ToySimulator(scene=self.scene, phase=phase)
+        check_phase(self.phase)
+        return ToySimulator(scene=self.scene, phase=self.phase)
 
-    def sample_action(
-        self, key: Array, state: RopeState, previous: Float[Array, "1 3"], phase: Phase = "constrained"
-    ) -> Float[Array, "1 3"]:
-        """A displacement of at most 0.1 m in the plane, the same as before with probability 0.8."""
-        return repeated_or_drawn(self, key, state, previous, phase)
-
-    def draw_action(self, key: Array) -> Float[Array, "1 3"]:
-        """Uniform in direction and in length."""
-        return planar_action(key, MAX_ACTION)
-
-    def retreat(self, state: RopeState, phase: Phase = "constrained") -> Float[Array, "1 3"]:
-        """To the nearest point in reach."""
-        return REACH.clip(state.grippers) - state.grippers
-
-    def valid_action(
-        self, state: RopeState, action: Float[Array, "1 3"], phase: Phase = "constrained"
-    ) -> Bool[Array, ""]:
-        """Is the action at most 0.1 m long, and its target in reach?"""
-        planar = (state.grippers + action).at[:, 2].set(HEIGHT)
-        return REACH.contains(planar).all() & short_enough(action, MAX_ACTION)
-
-    def sample_goal(self, key: Array, obstacles: Obstacles) -> Float[Array, "3"]:
-        """A point in reach, at least the threshold from the wall."""
+    def sample_goal(self, key: Array, obstacles: Obstacles) -> Goal:
+        """A point for the tail, in reach, at least the threshold from the wall."""
 
         def clear(goal):
             return signed_distance(obstacles, goal) > self.goal_threshold
 
-        return first_valid(key, REACH.sample, clear, fallback=jnp.array([-0.3, 0.0, HEIGHT]))
+        place = first_valid(key, REACH.sample, clear, fallback=jnp.array([-0.3, 0.0, HEIGHT]))
+        return point_goal(self, place)
 
-    def goal_distance(self, state: RopeState, goal: Float[Array, "3"]) -> Float[Array, ""]:
-        """Metres between the tail and ``goal``."""
-        return jnp.linalg.norm(state.points[0] - goal)
+    def reach(self) -> Float[np.ndarray, "NG NG"]:
+        """The rope's length between its points and what the gripper holds, metres."""
+        return along_rope(self)

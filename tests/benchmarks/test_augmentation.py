@@ -15,7 +15,7 @@ COUNT = 48
 
 def test_accepted_augmentations_are_what_the_simulator_does_and_random_ones_are_not():
     task = make_task("toy")
-    simulator = task.simulator("mujoco", "constrained")
+    simulator = task.simulator("mujoco")
     starts, examples = drawn(task, simulator, COUNT, 0)
     found = augment(numbered(stream(0, "test"), range(COUNT)), examples, Setting.of(task))
     errors = compared(task, simulator, starts, examples, found)

@@ -31,7 +31,7 @@ def test_what_is_timed_judges_every_transition_in_its_own_scene():
     )
     for i in (0, 255):
         scene, one = jax.tree.map(lambda leaf, i=i: leaf[i], (obstacles, moves))
-        alone = model(scene, one.state, one.action, one.next_state, one.uncertainty)
+        alone = model(scene, one).score
         np.testing.assert_allclose(found[i], alone, atol=1e-5)
 
 

@@ -34,7 +34,7 @@ def test_a_step_in_flax_ends_with_our_loss_and_our_weights(preset):
         np.testing.assert_array_equal(mine.weight[0], layer.weight)
         np.testing.assert_array_equal(weight, layer.weight)
 
-    settings = (problem, static, None, jax.random.split(jax.random.key(2), 1), config, jnp.array(1))
+    settings = (problem, static, None, jax.random.split(jax.random.key(2), 1), config)
     state, measured = epoch(settings, state)
     peer, loss = peer_step(peer, constants, data, jnp.arange(BATCH))
     np.testing.assert_allclose(measured["train_loss"][0], loss, rtol=1e-5)

@@ -76,8 +76,8 @@ def test_a_trajectory_does_not_know_what_is_simulated_beside_it(tmp_path):
 
 
 def test_failures_are_saved_and_replayed(tmp_path, capsys):
-    task = make_task("rope_dragging")
-    simulator = task.simulator("mujoco", "unconstrained")
+    task = make_task("rope_dragging", phase="unconstrained")
+    simulator = task.simulator("mujoco")
     starts = jax.vmap(simulator.reset)(jax.random.split(jax.random.key(0), 3))
     starts = eqx.tree_at(lambda s: s.qvel, starts, starts.qvel.at[1, 0].set(jnp.inf))
     actions = jnp.full((3, 2, 1, 3), 0.01)
@@ -89,7 +89,7 @@ def test_failures_are_saved_and_replayed(tmp_path, capsys):
 
 def test_an_overfull_scene_says_so():
     task = RopeDragging()
-    start = task.start("constrained")
+    start = task.start()
 
     def on_the_rope(key):
         return jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0])

@@ -411,7 +411,7 @@ def test_ropes_obstacles_and_trajectories(stored):
     np.testing.assert_array_equal(trajectories.states.grippers, arrays["grippers"][rows])
     for name in ("actions", "faults", "clearance", "stretch"):
         np.testing.assert_array_equal(getattr(trajectories, name), arrays[name][rows])
-    np.testing.assert_array_equal(dataset.rope_states(3).points, arrays["points"][3])
+    np.testing.assert_array_equal(dataset.states(3).points, arrays["points"][3])
     obstacles = dataset.obstacles(slice(2, 7))
     for name in ("kind", "centre", "quaternion", "half_size", "active"):
         np.testing.assert_array_equal(getattr(obstacles, name), arrays[f"obstacle_{name}"][2:7])

@@ -9,6 +9,7 @@ from doojax.datasets.collect import collect
 from doojax.datasets.store import Dataset
 from doojax.experiments.recovery_trials import MOST_ACTIONS, recovery_rows
 from doojax.learning.data import load_split, open_dataset
+from doojax.models.protocols import above
 from doojax.models.recovery import carried_along
 from doojax.planning.recovery import RandomRecovery
 
@@ -28,8 +29,8 @@ class Above(eqx.Module):
 
     threshold: float
 
-    def __call__(self, obstacles, state, action, next_state, uncertainty):
-        return next_state.grippers[0, 1]
+    def __call__(self, obstacles, transition):
+        return above(transition.next_state.grippers[0, 1], self.threshold)
 
 
 class Along(eqx.Module):

@@ -96,9 +96,9 @@ def test_where_the_rope_is_caught_an_obstacle_held_the_last_action_back(tmp_path
 class Noting(Toy):
     """The toy task; it notes on which engine it is simulated."""
 
-    def simulator(self, engine="auto", phase="constrained"):
+    def simulator(self, engine="auto"):
         asked.append(engine)
-        return super().simulator(engine, phase)
+        return super().simulator(engine)
 
 
 asked = []

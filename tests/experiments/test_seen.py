@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from doojax.learning.presets import classifier_preset, dynamics_preset
 from doojax.learning.provenance import SAW, saw_scenes, seen_data
 from doojax.models.builders import BUILDERS
 from doojax.tasks import TASKS, make_task
+from doojax.types import Transition
 
 from .toy_trials import PLANNING, SETTINGS, SIMULATOR, TOY
 
@@ -111,15 +113,17 @@ def test_a_conformal_threshold_is_what_a_classifier_must_say(tmp_path):
     found = models(tmp_path, [], conformal_thresholds={"0.05": 0.83})
     plain = make_method("classifier", TOY, SIMULATOR, found)
     strict = make_method("classifier", TOY, SIMULATOR, found, "conformal:0.05")
-    assert float(plain.reliability.threshold) == 0.5 and strict.reliability.threshold == 0.83
     assert plain.error_threshold_m == strict.error_threshold_m == 0.01
     state = SIMULATOR.reset(jax.random.key(0))
     rope, obstacles = SIMULATOR.observe(state), SIMULATOR.obstacles(state)
-    transition = (obstacles, rope, np.zeros((1, 3), np.float32), rope, np.float32(0.0))
-    score = eqx.filter_jit(strict.reliability)(*transition)
-    assert score == eqx.filter_jit(plain.reliability)(*transition)
+    step = Transition(rope, jnp.zeros((1, 3)), rope, jnp.zeros(()))
+    for judge, threshold in ((plain.reliability, 0.5), (strict.reliability, 0.83)):
+        found = eqx.filter_jit(judge)(obstacles, step)
+        assert bool(found.accepted) == (float(found.score) > threshold)
+    assert strict.reliability.threshold == 0.83
+    assert found.score == eqx.filter_jit(plain.reliability)(obstacles, step).score
     for text in ("conformal:0.2", "0.05", "probability:0.05"):
         with pytest.raises(ValueError, match=r"expected one of those that .* has: conformal:0.05"):
             make_method("classifier", TOY, SIMULATOR, found, text)
     checker = make_method("collision_checker", TOY, SIMULATOR, found, "conformal:0.05")
-    assert checker.reliability.threshold == 0.02
+    assert checker.reliability.margin == 0.02

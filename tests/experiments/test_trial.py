@@ -74,14 +74,14 @@ def test_without_a_classifier_the_plan_goes_through_the_wall_and_the_rope_does_n
 
 
 def steps_of_plans(record):
-    """Of every plan's executed steps: all bodies before and after, and where the plan had them."""
+    """Of every plan's executed steps: its number, all bodies before and after, and as they were planned."""
     executed = np.concatenate([record.points, record.grippers], axis=1)
     ends = [*(plan.step for plan in record.plans[1:]), len(executed) - 1]
-    for plan, end in zip(record.plans, ends, strict=True):
+    for number, (plan, end) in enumerate(zip(record.plans, ends, strict=True)):
         planned = np.concatenate([plan.points, plan.grippers], axis=1)[plan.path]
         for step in range(min(len(planned) - 1, end - plan.step)):
             before, after = executed[plan.step + step : plan.step + step + 2]
-            yield before, after, planned[step : step + 2]
+            yield number, before, after, planned[step : step + 2]
 
 
 def rms(vectors):
@@ -91,23 +91,16 @@ def rms(vectors):
 def test_what_refuted_the_model_is_not_planned_again_while_the_trial_lasts():
     crossing = records("no_classifier")[1]
     assert crossing.about["refuted"] > 0 and crossing.about["searches"] > 1
-    known = []  # of every refuted step: where it began, what was predicted, by how much that was wrong
-    for before, after, (begins, ends) in steps_of_plans(crossing):
+    known = []  # of every refuted step: its plan, where it began, what was predicted, and the error of that
+    for number, before, after, (begins, ends) in steps_of_plans(crossing):
         change = ends - begins
-        for where, predicted, error in known:
+        for plan, where, predicted, error in known:
             alike = rms(begins - where) < 0.499 * error and rms(change - predicted) < 0.499 * error
-            assert not alike or step_of(crossing, before) == step_of(crossing, where)
+            assert not alike or number == plan  # what was planned before it was refuted
         error = rms(after - before - change)
         if error > TOY.goal_threshold / 2:
-            known.append((before, change, error))
+            known.append((number, before, change, error))
     assert len(known) == crossing.about["refuted"]
-
-
-def step_of(record, bodies):
-    """The search after which some bodies were so: a plan may repeat what it did before it was refuted."""
-    executed = np.concatenate([record.points, record.grippers], axis=1)
-    state = np.flatnonzero((executed == bodies).all((1, 2)))[0]
-    return max(plan.step for plan in record.plans if plan.step <= state)
 
 
 def test_a_trial_ends_when_the_goal_is_reached_also_between_two_actions():

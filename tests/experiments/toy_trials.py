@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from doojax.experiments.trial import Method, Trials, TrialSettings, run_trials
-from doojax.planning import RrtSettings, point_goal, simulated, simulated_start
+from doojax.planning import RrtSettings, simulated, simulated_start
 from doojax.planning.recovery import RandomRecovery
-from doojax.tasks import make_task
+from doojax.tasks import make_task, point_goal
 from doojax.tasks.toy import HEIGHT
 from tests.planning.problems import BLIND, CAREFUL, TIMID, Towed
 

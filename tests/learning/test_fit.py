@@ -5,7 +5,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from doojax.learning.buffer import Buffer, weighted
 from doojax.learning.fit import FitConfig, balanced, fit, shuffled
 from doojax.learning.runs import METRICS, RunDirectory
 
@@ -165,3 +168,88 @@ def test_epochs_after_the_first_compile_nothing(tmp_path):
     lines = Counted(jnp.linspace(-1.0, 1.0, 32), jnp.asarray(1.0))
     fit(lines, config, seed=0, run=RunDirectory.open(tmp_path, {}), members=SCALES)
     assert len(traced) == 1
+
+
+def test_the_learning_rate_falls_along_a_cosine_to_zero_at_the_last_step():
+    config = FitConfig(epochs=10, batch_size=1, learning_rate=0.1)
+    gradient = jnp.ones(())
+    optimiser = config.optimiser(steps=4)
+    memory, moves = optimiser.init(gradient), []
+    for _ in range(40):
+        change, memory = optimiser.update(gradient, memory)
+        moves.append(-float(change))
+    # with a gradient that never changes Adam moves by the learning rate
+    expected = 0.1 * (1 + np.cos(np.pi * np.arange(40) / 40)) / 2
+    np.testing.assert_allclose(moves, expected, rtol=1e-4, atol=1e-7)
+
+
+def test_learning_goes_on_from_models_of_before(whole):
+    _, lines = whole
+    losses = []
+    again = fit(
+        problem(),
+        FitConfig(epochs=1, batch_size=8, members=2, learning_rate=1e-6),
+        seed=5,
+        members=SCALES,
+        begin=lines,
+        report=lambda number, epochs, metrics: losses.append(metrics["validation_loss"]),
+    )
+    np.testing.assert_allclose(again.slope, lines.slope, atol=1e-4)
+    assert (losses[0] < 1e-5).all()  # a fresh line errs by about one
+    with pytest.raises(ValueError, match="expected 3 members"):
+        fit(problem(), FitConfig(epochs=1, batch_size=8, members=3), seed=5, members=jnp.ones(3), begin=lines)
+
+
+class Streamed(LineProblem):
+    """Lines through the points of a buffer, in epochs of eight steps."""
+
+    points: Buffer
+
+    def batches(self, member, batch_size, *, key):
+        return self.points.drawn(8, batch_size, key=key)
+
+    def loss(self, model, rows, member):
+        x, y = self.points.items
+        return ((model.slope * x[rows] + model.offset - y[rows]) ** 2).mean()
+
+    def validate(self, model, member):
+        TRACED.append(member)
+        return {"loss": ((model.slope * self.x + model.offset - self.scale * (2 * self.x - 1)) ** 2).mean()}
+
+
+TRACED = []
+
+
+def test_a_buffer_grows_without_compiling_anything_anew():
+    x = jnp.linspace(-1.0, 1.0, 64)
+    points = Buffer.like((x, x), capacity=48)
+    models, config = None, FitConfig(epochs=6, batch_size=8, learning_rate=0.1)
+    for first in (0, 24, 40):  # 24, then 40, and then more than there are places
+        part = x[first : first + 24][:16] if first else x[:24]
+        points = points.added((part, 2 * part - 1))
+        models = fit(Streamed(x, jnp.ones(()), points), config, seed=1, begin=models)
+    assert len(TRACED) == 1
+    assert int(points.count) == 56 and float((points.weight > 0).sum()) == 48
+    np.testing.assert_allclose([models.slope[0], models.offset[0]], [2, -1], atol=0.2)
+
+
+def test_a_full_buffer_keeps_the_newest():
+    points = Buffer.like(jnp.zeros((1, 2)), capacity=3)
+    for value in (1.0, 2.0, 3.0, 4.0):
+        points = points.added(jnp.full((1, 2), value))
+    assert sorted(points.items[:, 0].tolist()) == [2, 3, 4]
+    with pytest.raises(ValueError, match="4 examples are more than the buffer's 3 places"):
+        points.added(jnp.zeros((4, 2)))
+    with pytest.raises(ValueError, match="capacity is 0, expected at least 1"):
+        Buffer.like(jnp.zeros((1, 2)), capacity=0)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.sampled_from([0.0, 0.5, 1.0, 3.0]), min_size=1, max_size=20), st.integers(0, 2**31 - 1))
+def test_examples_are_drawn_in_proportion_to_their_weights(weights, seed):
+    weight = jnp.array([*weights, 1.0])
+    rows = np.asarray(weighted(weight, 40, 100, key=jax.random.key(seed))).ravel()
+    share = np.asarray(weight / weight.sum())
+    found = np.bincount(rows, minlength=len(weight)) / len(rows)
+    assert (found[share == 0] == 0).all()
+    assert (np.abs(found - share) <= 6 * np.sqrt(share * (1 - share) / len(rows))).all()

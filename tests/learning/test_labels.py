@@ -13,7 +13,6 @@ from doojax.learning.labels import (
     error_threshold,
     label,
     rms_distance,
-    stacked_distance,
 )
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble
@@ -58,7 +57,6 @@ def test_distances_of_ropes_by_hand():
     left = RopeState(jnp.zeros((4, 3)), jnp.zeros((1, 3)))
     right = RopeState(jnp.zeros((4, 3)).at[0].set(jnp.array([0.0, 0.3, 0.4])), jnp.ones((1, 3)))
     assert float(rms_distance(left, right)) == pytest.approx(0.25)  # sqrt(0.5^2 / 4); no grippers
-    assert float(stacked_distance(left, right)) == pytest.approx(0.5)
 
 
 def test_from_every_state_for_two_steps(still):

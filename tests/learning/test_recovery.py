@@ -15,6 +15,7 @@ from doojax.learning.recovery import (
     label_recovery,
 )
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
+from doojax.models.protocols import above
 from doojax.models.recovery import RecoveryNetwork, carried_along
 from doojax.tasks import make_task
 from doojax.types import Obstacles, RopeState
@@ -34,8 +35,9 @@ class Moved(eqx.Module):
 
     threshold: float = 0.0
 
-    def __call__(self, obstacles, state, action, next_state, uncertainty):
-        return action[0, 0] * obstacles.centre[0, 0] - state.points[0, 1]
+    def __call__(self, obstacles, transition):
+        to_its_side = transition.action[0, 0] * obstacles.centre[0, 0]
+        return above(to_its_side - transition.state.points[0, 1], self.threshold)
 
 
 def scenes(*sides):

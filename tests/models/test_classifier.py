@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from doojax.geometry import signed_distance
+from doojax.learning.presets import classifier_preset
 from doojax.models.classifier import (
     FAR,
     NEAR,
@@ -15,7 +16,8 @@ from doojax.models.classifier import (
     DistanceClassifier,
 )
 from doojax.models.local import chain_of, local_frame
-from doojax.types import Obstacles, RopeState
+from doojax.tasks import make_task
+from doojax.types import Obstacles, RopeState, Transition
 
 OBSTACLES = Obstacles(
     kind=jnp.array([0, 1, 2]),
@@ -45,7 +47,8 @@ def test_the_network_sees_per_point_its_place_motion_and_distances_at_each_momen
     config = ClassifierConfig(grippers, "gripper", width=8, moments=moments, midpoints=midpoints)
     classifier = DistanceClassifier(config, key=jax.random.key(0))
     before, action, after = transition(points, grippers)
-    chain, whole = eqx.filter_jit(classifier.inputs)(OBSTACLES, before, action, after, jnp.array(0.02))
+    step = Transition(before, action, after, jnp.array(0.02))
+    chain, whole = eqx.filter_jit(classifier.inputs)(OBSTACLES, step)
 
     frame = local_frame(before, action, "gripper", "canonical")
     begin, end = chain_of(before, midpoints), chain_of(after, midpoints)
@@ -64,6 +67,14 @@ def test_the_network_sees_per_point_its_place_motion_and_distances_at_each_momen
     doubt = np.log(0.0201) + 3
     np.testing.assert_allclose(whole, [*np.ravel(frame.vectors_in(action)) / 0.1, doubt], atol=1e-5)
     assert chain.shape[1] == config.features and len(whole) == config.globals
+
+
+@pytest.mark.parametrize("name", ["rope_dragging", "dual_gripper"])
+def test_every_preset_sees_what_the_rope_passes_between_start_and_end(name):
+    task = make_task(name)
+    for preset in ("quick", "thesis"):
+        network = classifier_preset(preset, task).network
+        assert network.moments >= 3 and network.features == 7 + 5 * network.moments
 
 
 @pytest.mark.parametrize("length", [1, 2, 7])

@@ -8,7 +8,10 @@ import pytest
 
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble, summary
+from doojax.models.rolling import roll_out
 from doojax.types import RopeState
+
+from .voxel_examples import box
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +52,7 @@ def test_members_that_agree_have_no_spread(ensemble):
 
 def test_members_roll_out_on_their_own(ensemble):
     """Beside a plain loop; from the mean, as planners go on, it comes out differently."""
-    means, spread = ensemble.roll_out_members(START, ACTIONS)
+    means, spread = ensemble.roll_out_members(None, START, ACTIONS)
     states = [START] * ensemble.size
     for step, action in enumerate(ACTIONS):
         states = [alone(ensemble, i).predict(state, action) for i, state in enumerate(states)]
@@ -60,7 +63,7 @@ def test_members_roll_out_on_their_own(ensemble):
         np.testing.assert_allclose(means.points[step + 1], points.mean(0), atol=1e-5)
         expected = points.std(0).sum() + grippers.std(0).sum()
         assert float(spread[step]) == pytest.approx(expected, abs=1e-5)
-    together, doubt = ensemble.roll_out(START, ACTIONS)
+    together, doubt = roll_out(ensemble, None, START, ACTIONS)
     np.testing.assert_allclose(means.points[1], together.points[1], atol=1e-6)
     assert float(spread[0]) == pytest.approx(float(doubt[0]), abs=1e-6)
     assert float(jnp.abs(means.points[-1] - together.points[-1]).max()) > 1e-4
@@ -68,10 +71,29 @@ def test_members_roll_out_on_their_own(ensemble):
 
 
 def test_a_roll_out_repeats_one_step(ensemble):
-    states, doubt = ensemble.roll_out(START, ACTIONS)
+    states, doubt = roll_out(ensemble, None, START, ACTIONS)
     np.testing.assert_array_equal(states.points[0], START.points)
     state = START
     for step, action in enumerate(ACTIONS):
         state, uncertainty = ensemble(None, state, action)
         np.testing.assert_allclose(states.points[step + 1], state.points, atol=1e-5)
         assert float(doubt[step]) == pytest.approx(float(uncertainty), abs=1e-5)
+
+
+class Pushed(eqx.Module):
+    """Dynamics that look at the obstacles: the rope goes towards the first one's middle, at its own speed."""
+
+    speed: jax.Array
+
+    def __call__(self, obstacles, state, action):
+        change = self.speed * (obstacles.centre[0] - state.points[0])
+        return jax.tree.map(lambda leaf: leaf + change[None], state), jnp.array(9.0)
+
+
+def test_any_dynamics_make_an_ensemble_also_those_that_look_at_obstacles():
+    both = Ensemble(Pushed(jnp.array([0.1, 0.3])))
+    wall = box(1.3, 0.1, 0.0)  # 1 m along x from the rope's point
+    after, spread = both(wall, START, ACTIONS[0])
+    assert both.size == 2
+    np.testing.assert_allclose(after.points - START.points, [[0.2, 0, 0]], atol=1e-6)
+    assert float(spread) == pytest.approx(2 * 0.1)  # the point's and the gripper's x, each 0.1 and 0.3

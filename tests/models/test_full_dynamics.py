@@ -11,10 +11,12 @@ import pytest
 from doojax.learning.checkpoints import Header, load_model, save_model
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import FitConfig, fit
-from doojax.learning.full_dynamics import FullDynamicsProblem, errors, windows
+from doojax.learning.full_dynamics import windows
+from doojax.learning.losses import DynamicsProblem, errors
 from doojax.learning.runs import RunDirectory
 from doojax.models import Dynamics
 from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
+from doojax.models.rolling import roll_out
 from doojax.types import RopeState
 
 from .voxel_examples import FLAT, box
@@ -46,7 +48,8 @@ def pushed(count, steps, seed, first_row=0):
 
 @pytest.fixture(scope="module")
 def learned(tmp_path_factory):
-    problem = FullDynamicsProblem(windows([pushed(192, 3, 0)], 3), windows([pushed(64, 3, 1)], 3), CONFIG)
+    parts = windows([pushed(192, 3, 0)], 3), windows([pushed(64, 3, 1)], 3)
+    problem = DynamicsProblem(*parts, CONFIG, True, FullDynamics, at_once=32)
     run = RunDirectory.open(tmp_path_factory.mktemp("run") / "fit", {})
     config = FitConfig(epochs=40, batch_size=32, learning_rate=3e-3)
     models = fit(problem, config, seed=0, run=run)
@@ -99,7 +102,7 @@ def test_a_roll_out_repeats_single_steps_and_its_errors_are_theirs(learned, step
     for action in window.actions:
         state, _ = step(model, window.obstacles, state, action)
         states.append(state)
-    rolled = model.roll_out(window.obstacles, first, window.actions)
+    rolled, _ = roll_out(model, window.obstacles, first, window.actions)
     np.testing.assert_allclose(rolled.points, jnp.stack([s.points for s in states]), atol=1e-5)
     loss, error = errors_of(model, window)
     gap = np.asarray(rolled.points - window.states.points)[1:, 0]

@@ -28,7 +28,7 @@ def classifier():
 
 @pytest.fixture(scope="module")
 def logit():
-    return eqx.filter_jit(lambda model, *transition: model.logit(*transition))
+    return eqx.filter_jit(lambda model, obstacles, *step: model.logit(obstacles, Transition(*step)))
 
 
 def numpy_occupancy(obstacles, centres, reach):
@@ -181,7 +181,7 @@ def test_every_argument_counts(classifier, logit):
 
 
 def test_it_is_a_reliability_whose_score_is_a_probability(classifier, logit):
-    score = eqx.filter_jit(lambda model, *transition: model(*transition))
+    score = eqx.filter_jit(lambda model, obstacles, *step: model(obstacles, Transition(*step)).score)
     given = (box(0.1, 0.1, 0.02), rope(), jnp.zeros((1, 3)), rope(0.05), jnp.array(0.1))
     assert isinstance(classifier, Reliability)
     assert float(score(classifier, *given)) == pytest.approx(
@@ -201,7 +201,7 @@ def test_it_learns_that_a_box_in_the_way_makes_predictions_wrong(classifier):
     states = jax.vmap(lambda y: rope(0.0, y))(places)
     after = jax.tree.map(lambda leaf: leaf + jnp.array([0.05, 0.0, 0.0]), states)
     actions = jnp.broadcast_to(jnp.array([0.05, 0.0, 0.0]), (count, 1, 3))
-    data = (scenes, states, actions, after, jnp.full(count, 0.1))
+    data = (scenes, Transition(states, actions, after, jnp.full(count, 0.1)))
     adam = optax.adam(3e-3)
 
     @eqx.filter_jit
@@ -223,7 +223,7 @@ def test_it_learns_that_a_box_in_the_way_makes_predictions_wrong(classifier):
 
     trained, losses = train(classifier)
     assert losses[-1] < 0.1 < losses[0]
-    assert (np.asarray(jax.vmap(trained)(*data) > trained.threshold) == np.asarray(label)).all()
+    assert (np.asarray(jax.vmap(trained)(*data).accepted) == np.asarray(label)).all()
     assert trained.calibration.scale == 1  # left alone by training
 
 

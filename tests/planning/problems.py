@@ -8,8 +8,9 @@ from jax import Array
 
 from doojax.geometry.frames import quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
-from doojax.planning import Problem, point_goal
-from doojax.tasks import make_task
+from doojax.models.protocols import above
+from doojax.planning import Problem
+from doojax.tasks import make_task, point_goal
 from doojax.tasks.toy import HEIGHT, PITCH, straight
 from doojax.types import Obstacles, RopeState, ShapeKind
 
@@ -44,12 +45,15 @@ class Towed(eqx.Module):
 
 
 class Clearance(eqx.Module):
-    """Accepts ropes whose points keep a distance from the wall; everything or nothing at an infinite one."""
+    """Accepts ropes whose points keep a distance from the wall; everything or nothing at an infinite one.
+
+    As something learned would: luck may let pass what it does not accept.
+    """
 
     threshold: Array
 
-    def __call__(self, obstacles, state, action, next_state, uncertainty):
-        return signed_distance(obstacles, next_state.points).min()
+    def __call__(self, obstacles, transition):
+        return above(signed_distance(obstacles, transition.next_state.points).min(), self.threshold)
 
 
 CAREFUL, BLIND, TIMID = (Clearance(jnp.array(threshold)) for threshold in (0.012, -jnp.inf, jnp.inf))

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from jax import Array
 
+from doojax.models import CollisionChecker, Conjunction
 from doojax.planning import Rrt, plan_of, search
 from doojax.planning.memory import PLACES, Outcome, refuting, remembered
 from doojax.planning.settings import RrtSettings
+from doojax.types import Transition
 
-from .problems import BLIND, SIDE_BY_SIDE, TOY, Towed, batch, element, problem, walls
+from .problems import SIDE_BY_SIDE, TOY, Clearance, Towed, batch, element, problem, walls
 from .test_rrt import SMALL
 
 HERE = np.zeros((2, 3), np.float32)
@@ -69,12 +71,13 @@ class Unsure(Towed):
 LUCKY = replace(SMALL, random_accept=0.2)  # in all searches, so that one compiled search serves them
 
 
-def searched(outcomes=(), spread=0.0, **where):
+def searched(outcomes=(), spread=0.0, threshold=-jnp.inf, margin=-jnp.inf, **where):
     known = jax.tree.map(lambda leaf: jnp.stack([leaf] * SIDE_BY_SIDE), remembered(list(outcomes), 6))
     taught = eqx.tree_at(
         lambda p: p.refuted, batch(problem(**where)), known, is_leaf=lambda leaf: leaf is None
     )
-    tree = element(search(Rrt(Unsure(spread=jnp.array(spread)), BLIND, TOY, LUCKY), taught), 0)
+    judge = Conjunction((Clearance(jnp.array(threshold)), CollisionChecker(jnp.array(margin))))
+    tree = element(search(Rrt(Unsure(spread=jnp.array(spread)), judge, TOY, LUCKY), taught), 0)
     return tree, plan_of(tree)
 
 
@@ -92,6 +95,23 @@ def test_no_accepted_edge_of_a_tree_is_like_a_refuted_one():
     begins = np.sqrt(((before - bodies[0]) ** 2).sum(-1).mean(-1))
     goes_on = np.sqrt(((after - before - outcome.change) ** 2).sum(-1).mean(-1))
     assert len(slots) > 100 and not ((begins < 0.0499) & (goes_on < 0.0499)).any()
+
+
+def test_luck_lets_pass_what_is_learned_and_never_what_is_physics():
+    bypassed = []
+    for margin in (0.0, -jnp.inf):  # the gripper and the rope may not touch the wall, or may
+        tree, _ = searched(threshold=jnp.inf, margin=margin, start=(0.1, 0.0), goal=(0.4, -0.3))
+        slots = np.flatnonzero(tree.accepted)[1:]
+        before, after = (
+            jax.tree.map(lambda leaf, r=rows: jnp.asarray(leaf[r]), tree.state)
+            for rows in (tree.parent[slots], slots)
+        )
+        steps = Transition(before, jnp.asarray(tree.action[slots]), after, jnp.zeros(len(slots)))
+        distance = jax.vmap(CollisionChecker().distance, (None, 0))(walls(), steps)
+        bypassed.append((len(slots), int((distance <= 0).sum())))
+    (allowed, through), (more, unchecked) = bypassed
+    assert allowed > 20 and through == 0  # all by luck: the learned judge accepts nothing
+    assert more > 20 and unchecked > 0
 
 
 def test_the_margin_leaves_room_for_twice_the_spread():

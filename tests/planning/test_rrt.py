@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from doojax.planning import Rrt, RrtSettings, check_problem, plan_of, search, simulated, simulated_start
 from doojax.planning.rrt import _search, propagate
+from doojax.types import Transition
 
 from .problems import BLIND, CAREFUL, SIDE_BY_SIDE, TIMID, TOY, TRACES, Towed, batch, element, problem, walls
 
@@ -110,9 +111,9 @@ one_step = eqx.filter_jit(lambda dynamics, *arguments: dynamics(*arguments))
 
 @eqx.filter_jit
 def judged(reliability, obstacles, before, actions, after):
-    judge = jax.vmap(reliability, in_axes=(None, 0, 0, 0, None))
-    score = judge(obstacles, before, actions, after, jnp.zeros(()))
-    return score, jax.vmap(TOY.valid_action)(before, actions)
+    steps = Transition(before, actions, after, jnp.zeros(len(actions)))
+    found = jax.vmap(reliability, in_axes=(None, 0))(obstacles, steps)
+    return found.score, jax.vmap(TOY.actions.valid)(before, actions)
 
 
 def test_the_same_seed_gives_the_same_tree_and_another_does_not():

@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doojax.planning import Rrt, gripper_goal, plan_of, search, shortened
+from doojax.planning import Rrt, plan_of, search, shortened
 from doojax.planning.rrt import propagate
 from doojax.planning.tree import Plan, Tree
+from doojax.tasks import gripper_goal
 from doojax.tasks.toy import HEIGHT
+from doojax.types import Transition
 
 from .problems import CAREFUL, TIMID, TOY, Towed, batch, element, problem, walls
 from .test_rrt import PLANNER, SMALL
@@ -54,8 +56,8 @@ def test_a_shortened_plan_is_still_a_plan(start, goal, yaw, seed):
         after, _ = propagate(SMOOTH.dynamics, obstacles, alike, jnp.tile(action, (1, SMALL.lanes, 1, 1)))
         assert np.array_equal(after.points[0, 0], grown.state.points[node])
         here = jax.tree.map(lambda leaf: leaf[0, 0], after)
-        assert CAREFUL(one.obstacles, before, action, here, jnp.zeros(())) > CAREFUL.threshold
-        assert TOY.valid_action(before, action)
+        assert CAREFUL(one.obstacles, Transition(before, action, here, jnp.zeros(()))).accepted
+        assert TOY.actions.valid(before, action)
 
     again = shortened(SMOOTH, one, tree, plan)[1]
     assert np.array_equal(again.actions, short.actions)

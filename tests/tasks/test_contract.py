@@ -1,13 +1,17 @@
 """What every task promises, for every task there is."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from doojax.actions import ActionSpace, nothing_of, sampled
 from doojax.datasets.collect import random_trajectories
 from doojax.geometry.sdf import signed_distance
-from doojax.tasks import TASKS, make_task
+from doojax.tasks import TASKS, make_task, point_goal
+from doojax.types import State
 
 BATCH, PERIODS = 16, 4
 PHASES = ("unconstrained", "constrained")
@@ -25,9 +29,10 @@ def phases(task):
 
     def collected(phase):
         if phase not in made:
-            simulator = task.simulator("mujoco", phase)
+            own = make_task(task.name, phase=phase)
+            simulator = own.simulator("mujoco")
             keys = jax.random.split(jax.random.key(0), BATCH)
-            start, _, seen = random_trajectories(task, simulator, keys, PERIODS, phase)
+            start, _, seen = random_trajectories(own, simulator, keys, PERIODS)
             made[phase] = (simulator, start, seen, phase)
         return made[phase]
 
@@ -82,23 +87,50 @@ def test_goals_are_clear_of_obstacles(task, collected):
     simulator, start, _, _ = collected
     obstacles = jax.vmap(simulator.obstacles)(start)
     goals = jax.vmap(task.sample_goal)(jax.random.split(jax.random.key(1), BATCH), obstacles)
-    assert float(jax.vmap(signed_distance)(obstacles, goals).min()) >= task.goal_threshold - 1e-6
+    assert float(jax.vmap(signed_distance)(obstacles, goals.targets).min()) >= task.goal_threshold - 1e-6
 
 
-def test_the_goal_distance_is_zero_at_the_goal(task, collected):
-    _, _, seen, _ = collected
+def test_a_sampled_goal_is_for_the_tasks_own_point(task, collected):
+    simulator, start, seen, _ = collected
+    obstacles = simulator.obstacles(jax.tree.map(lambda leaf: leaf[0], start))
+    goal = task.sample_goal(jax.random.key(6), obstacles)
     state = jax.tree.map(lambda leaf: leaf[0, -1], seen.states)
-    distances = [float(task.goal_distance(state, point)) for point in state.points]
-    assert min(distances) == 0.0
-    assert max(distances) > 0.0
+    missing = jnp.linalg.norm(state.points[task.goal_point] - goal.targets[0])
+    assert float(goal.distance(state)) == pytest.approx(float(missing), rel=1e-6)
+    assert float(goal.tolerance) == pytest.approx(task.goal_threshold)
+
+
+def test_a_state_names_its_passive_bodies_first(task, collected):
+    _, _, seen, _ = collected
+    state = jax.tree.map(lambda leaf: leaf[0, 0], seen.states)
+    assert isinstance(state, State) and state.passive + task.grippers == len(state.bodies())
+    np.testing.assert_array_equal(state.bodies()[: state.passive], state.points)
+    np.testing.assert_array_equal(state.bodies()[state.passive :], state.grippers)
+
+
+def test_the_action_space_keeps_its_promises(task, collected):
+    _, _, seen, phase = collected
+    space = make_task(task.name, phase=phase).actions
+    assert isinstance(space, ActionSpace) and hash(space) == hash(replace(space))
+    state = jax.tree.map(lambda leaf: leaf[0, 0], seen.states)
+    later = jax.tree.map(lambda leaf: leaf[0, -1], seen.states)
+    drawn = jax.vmap(space.draw)(jax.random.split(jax.random.key(7), 256))
+    assert drawn.shape[1:] == nothing_of(space).shape
+    assert float(jnp.linalg.norm(drawn, axis=-1).max()) <= space.longest
+    # what takes the hands from one state to another in two equal moves misses nothing after both
+    half = space.between(state, later, 2)
+    np.testing.assert_allclose(state.grippers + 2 * half, later.grippers, atol=1e-6)
+    assert float(space.missing(state, 2 * half, later.bodies())) == pytest.approx(0, abs=1e-10)
+    assert float(space.missing(state, half, later.bodies())) >= 0
 
 
 def test_actions_repeat_with_probability_four_fifths(task, collected):
-    _, _, seen, _ = collected
+    _, _, seen, phase = collected
+    space = make_task(task.name, phase=phase).actions
     state = jax.tree.map(lambda leaf: leaf[0, 0], seen.states)
     previous = jnp.full((task.grippers, 3), 1e-4).at[:, 2].set(0.0)
     keys = jax.random.split(jax.random.key(2), 2000)
-    actions = jax.jit(jax.vmap(lambda key: task.sample_action(key, state, previous, "unconstrained")))(keys)
+    actions = jax.jit(jax.vmap(lambda key: sampled(space, key, state, previous)))(keys)
     repeated = np.asarray((actions == previous).all((1, 2))).mean()
     assert abs(repeated - 0.8) < 3 * (0.8 * 0.2 / 2000) ** 0.5
 
@@ -112,17 +144,18 @@ def test_goals_and_their_point_are_where_the_rope_can_be(task):
     simulator = task.simulator("mujoco")
     obstacles = simulator.obstacles(simulator.reset(jax.random.key(0)))
     goals = jax.vmap(task.sample_goal, (0, None))(jax.random.split(jax.random.key(1), 64), obstacles)
-    assert bool(task.workspace.contains(goals).all())
+    assert bool(task.workspace.contains(goals.targets).all())
     state = simulator.observe(simulator.reset(jax.random.key(0)))
-    assert float(task.goal_distance(state, state.points[task.goal_point])) == 0.0
+    assert float(point_goal(task, state.points[task.goal_point]).distance(state)) == 0.0
 
 
 def test_sampled_actions_are_valid_and_much_longer_ones_are_not(task, collected):
     _, _, seen, phase = collected
     states = jax.tree.map(lambda leaf: leaf[:, 0], seen.states)
     keys, previous = jax.random.split(jax.random.key(3), BATCH), jnp.zeros((task.grippers, 3))
-    actions = jax.vmap(lambda key, state: task.sample_action(key, state, previous, phase))(keys, states)
-    valid = jax.vmap(lambda state, action: task.valid_action(state, action, phase))
+    space = make_task(task.name, phase=phase).actions
+    actions = jax.vmap(lambda key, state: sampled(space, key, state, previous))(keys, states)
+    valid = jax.vmap(space.valid)
     assert bool(valid(states, actions).all())
     long = 0.2 * actions / jnp.linalg.norm(actions, axis=-1, keepdims=True)
     assert not bool(valid(states, long).any())

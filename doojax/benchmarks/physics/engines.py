@@ -57,8 +57,8 @@ def random_states(task: str, engine: str, count: int, periods: int) -> Trajector
     """``count`` random trajectories of phase two."""
     the_task = make_task(task)
     keys = numbered(stream(SEED, "bench", "physics"), range(count))
-    simulator = the_task.simulator(engine, "constrained")
-    _, _, seen = random_trajectories(the_task, simulator, keys, periods, "constrained")
+    simulator = the_task.simulator(engine)
+    _, _, seen = random_trajectories(the_task, simulator, keys, periods)
     return jax.tree.map(jnp.asarray, seen)
 
 

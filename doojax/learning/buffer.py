@@ -1,0 +1,65 @@
+"""Examples that come in while learning goes on: in so many places, so that nothing compiles anew."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+
+class Buffer(eqx.Module):
+    """Up to C examples with their weights; once they are that many, new ones take the place of the oldest.
+
+    It is data: `added` gives another buffer of the same shapes, whatever it holds.
+    """
+
+    items: Any  # a pytree whose leaves begin with axis C
+    weight: Float[Array, "C"]  # how often each is drawn beside the others; 0 in empty places
+    count: Int[Array, ""]  # of all that were ever added
+
+    @classmethod
+    def like(cls, examples: Any, capacity: int) -> "Buffer":
+        """An empty one for examples such as these, whose leaves have a leading axis.
+
+        Raises:
+            ValueError: for a capacity below 1.
+        """
+        if capacity < 1:
+            raise ValueError(f"capacity is {capacity}, expected at least 1")
+        empty = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape[1:]), leaf.dtype), examples)
+        return cls(empty, jnp.zeros(capacity), jnp.zeros((), jnp.int32))
+
+    @property
+    def capacity(self) -> int:
+        """C."""
+        return self.weight.shape[0]
+
+    def added(self, examples: Any, weight: Float[Array, "n"] | None = None) -> "Buffer":
+        """The buffer with n more examples, of weight one each by default.
+
+        Raises:
+            ValueError: more examples than there are places.
+        """
+        number = len(jax.tree.leaves(examples)[0])
+        if number > self.capacity:
+            raise ValueError(f"{number} examples are more than the buffer's {self.capacity} places")
+        places = (self.count + jnp.arange(number)) % self.capacity
+        weight = jnp.ones(number) if weight is None else weight
+        items = jax.tree.map(lambda old, new: old.at[places].set(new), self.items, examples)
+        return Buffer(items, self.weight.at[places].set(weight), self.count + number)
+
+    def drawn(self, steps: int, batch_size: int, *, key: Array) -> Int[Array, "steps batch"]:
+        """Places of examples for each of some batches, each as often as its weight says, with replacement."""
+        return weighted(self.weight, steps, batch_size, key=key)
+
+
+def weighted(
+    weight: Float[Array, "n"], steps: int, batch_size: int, *, key: Array
+) -> Int[Array, "steps batch"]:
+    """Numbers of examples, drawn with replacement in proportion to their weights; one must be positive."""
+    total = jnp.cumsum(weight)
+    draws = total[-1] * jax.random.uniform(key, (steps, batch_size))
+    # Rounding may put a draw at the very end, behind the last example with a weight.
+    last = jnp.max(jnp.where(weight > 0, jnp.arange(len(weight)), 0))
+    return jnp.minimum(jnp.searchsorted(total, draws, side="right"), last)
