@@ -65,6 +65,10 @@ COMMANDS: Commands = {
         "doojax.augmentation.command:augment_dataset",
         "move what a data set holds to where it is as valid",
     ),
+    "augmentation-study": (
+        "doojax.experiments.augmentation_study:augmentation_study",
+        "train with and without augmentation where data are few, and compare",
+    ),
     "evaluate-model": (
         "doojax.experiments.evaluate_model:evaluate_model",
         "measure a trained model on data that it has not seen",

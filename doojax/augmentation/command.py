@@ -2,7 +2,7 @@
 
 import warnings
 from collections import Counter
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,33 +13,25 @@ import numpy as np
 from jaxtyping import Array
 from rich.console import Console
 
+from doojax.augmentation.examples import Augmented, Bounds, Examples, Setting, augment
 from doojax.augmentation.projection import ProjectionConfig
-from doojax.augmentation.ropes import (
-    Augmented,
-    Bounds,
-    RopeExamples,
-    Setting,
-    augment,
-    moving_points,
-    upright,
-)
+from doojax.augmentation.settings import setting_of
 from doojax.datasets.files import MANIFEST
 from doojax.datasets.manifest import Field
 from doojax.datasets.progress import progress_bar
+from doojax.datasets.states import state_names
 from doojax.datasets.store import Dataset
 from doojax.datasets.writer import DatasetWriter
 from doojax.files import alone_in, file_digest
 from doojax.geometry.motion import RigidMotion
-from doojax.geometry.sdf import signed_distance
 from doojax.keys import check_seed, numbered, stream
 from doojax.simulation.state import SimState
 from doojax.tasks.base import Task
 from doojax.tasks.ropes import task_of
-from doojax.tasks.starts import moved_state
-from doojax.types import Obstacles, RopeState, Verdict
+from doojax.types import Obstacles, Verdict
 
 SHARD_SIZE = 64
-MOVING = ("points", "grippers", "actions", "clearance", "stretch")  # NaN where an augmentation was rejected
+BY_STATE = ("clearance", "stretch")  # besides the states themselves, one value for each state
 STARTS = ("initial_qpos", "initial_qvel", "initial_commanded")
 
 
@@ -104,7 +96,7 @@ def augment_dataset(
         source = Dataset.open(data)
     plan = _planned(source, copies, steps)
     task = task_of(source.config)
-    setting = Setting.of(task, bounds)
+    setting = setting_of(task, bounds)
     config = {
         **source.config,
         "states": plan.steps + 1,
@@ -151,14 +143,15 @@ def augment_dataset(
 
 def schema(source: Dataset, steps: int) -> dict[str, Field]:
     """The fields of ``source``, for examples of ``steps`` actions, and where each example comes from."""
-    fields = {}
+    made, by_state = {}, (*state_names(source.fields)[1], *BY_STATE)
+    missing = {*by_state, *STARTS, "actions"}  # where an augmentation was rejected
     for name, field in source.fields.items():
-        if name in ("points", "grippers", "clearance", "stretch"):
+        if name in by_state:
             field = replace(field, shape=(steps + 1, *field.shape[1:]))
         elif name in ("actions", "faults"):
             field = replace(field, shape=(steps, *field.shape[1:]))
-        fields[name] = replace(field, may_be_missing=name in (*MOVING, *STARTS) or field.may_be_missing)
-    return fields | {
+        made[name] = replace(field, may_be_missing=name in missing or field.may_be_missing)
+    return made | {
         "original": Field((), "int32", "1", "number of the trajectory in the data that were augmented"),
         "first_period": Field((), "int32", "1", "the period of it that the example begins with"),
         "verdict": Field((), "int32", "1", "doojax.types.Verdict"),
@@ -175,10 +168,10 @@ def schema(source: Dataset, steps: int) -> dict[str, Field]:
 
 
 def _planned(source: Dataset, copies: int, steps: int | None) -> _Plan:
-    needed = ("points", "grippers", "actions", "faults", "obstacle_kind", "body_position", *STARTS)
-    lacking = [name for name in needed if name not in source.fields]
+    lacking = [name for name in ("actions", "faults", *STARTS) if name not in source.fields]
     if lacking:
-        raise ValueError(f"{source.path} holds no ropes to augment: no field {', '.join(lacking)}")
+        raise ValueError(f"{source.path} holds nothing to augment: no field {', '.join(lacking)}")
+    state_names(source.fields)
     if "verdict" in source.fields:
         raise ValueError(
             f"{source.path} is augmented already: augment {source.config['augmentation']['data']}"
@@ -207,7 +200,9 @@ def _shard(
     trajectory, first, augmented = plan.place(rows)
     needed, where = np.unique(trajectory, return_inverse=True)
     values = {name: source[name][needed][where] for name in source.fields}
-    for name in ("points", "grippers", "clearance", "stretch", "actions", "faults"):
+    kind, names = state_names(source.fields)
+    by_state = [name for name in (*names, *BY_STATE) if name in values]
+    for name in (*by_state, "actions", "faults"):
         length = plan.steps + (name not in ("actions", "faults"))
         values[name] = np.take_along_axis(
             values[name],
@@ -218,10 +213,14 @@ def _shard(
         values[name][first > 0] = np.nan
     full = np.resize(np.arange(len(rows)), SHARD_SIZE)  # one batch size is one program, and one rounding
     batch = {name: jnp.asarray(value[full]) for name, value in values.items()}
-    examples = RopeExamples(
-        states=RopeState(batch["points"], batch["grippers"]),
+    obstacles, bodies = None, (jnp.zeros((SHARD_SIZE, 0, 3)), jnp.zeros((SHARD_SIZE, 0, 4)))
+    if task.scene.obstacles:
+        obstacles = Obstacles(**{name: batch[f"obstacle_{name}"] for name in Obstacles.__annotations__})
+        bodies = batch["body_position"], batch["body_quaternion"]
+    examples = Examples(
+        states=kind(**{name: batch[name] for name in names}),
         actions=batch["actions"],
-        obstacles=Obstacles(**{name: batch[f"obstacle_{name}"] for name in Obstacles.__annotations__}),
+        obstacles=obstacles,
         sound=(batch["faults"] == 0).all(1),
     )
     found = augment(numbered(stream(seed, "augment"), rows[full]), examples, setting, projection)
@@ -229,14 +228,15 @@ def _shard(
         qpos=batch["initial_qpos"],
         qvel=batch["initial_qvel"],
         commanded=batch["initial_commanded"],
-        obstacle_position=batch["body_position"],
-        obstacle_quaternion=batch["body_quaternion"],
-        holding=jnp.ones((SHARD_SIZE, task.grippers), dtype=bool),
+        obstacle_position=bodies[0],
+        obstacle_quaternion=bodies[1],
+        holding=jnp.ones((SHARD_SIZE, len(task.scene.layout.holds)), dtype=bool),
         faults=jnp.zeros(SHARD_SIZE, dtype=jnp.int32),
         model_fields={},
     )
     changed = _derived(task, setting, examples, found, starts)
-    changed["stretch"] = np.where(np.isnan(changed["clearance"]), np.nan, np.asarray(batch["stretch"]))
+    if "stretch" in batch:
+        changed["stretch"] = np.where(np.isnan(changed["clearance"]), np.nan, np.asarray(batch["stretch"]))
     arrays = {name: value.copy() for name, value in values.items()}
     for name, value in changed.items():
         mine = np.asarray(value)[: len(rows)].astype(arrays[name].dtype)
@@ -260,30 +260,28 @@ def _shard(
 
 @eqx.filter_jit
 def _moved(
-    task: Task, setting: Setting, examples: RopeExamples, found: Augmented, starts: SimState
-) -> tuple[SimState, Array]:
-    def one(states: RopeState, obstacles: Obstacles, motion: RigidMotion, start: SimState):
-        points, radii = moving_points(setting, states, between=0)
-        around = upright(obstacles) if setting.planar else obstacles
-        distance = (signed_distance(around, points) - radii).reshape(len(states.points), -1).min(-1)
-        start = moved_state(task.scene, start, motion.about_origin, motion.quaternion)
-        return start, distance
+    task: Task, setting: Setting, examples: Examples, found: Augmented, starts: SimState
+) -> tuple[SimState, Array | None]:
+    def one(states: Any, before: Any, obstacles: Obstacles | None, motion: RigidMotion, start: SimState):
+        start = setting.moved_start(task.scene, start, before, motion)
+        return start, setting.clearance(states, obstacles)
 
-    return jax.vmap(one)(found.states, examples.obstacles, found.motion, starts)
+    return jax.vmap(one)(found.states, examples.states, examples.obstacles, found.motion, starts)
 
 
 def _derived(
-    task: Task, setting: Setting, examples: RopeExamples, found: Augmented, starts: SimState
+    task: Task, setting: Setting, examples: Examples, found: Augmented, starts: SimState
 ) -> dict[str, Any]:
     """The fields that an augmentation changes; NaN where it was rejected."""
     moved, clearance = _moved(task, setting, examples, found, starts)
     rejected = (found.verdict != Verdict.ACCEPTED)[:, None]
-    return {
-        "points": found.states.points,
-        "grippers": found.states.grippers,
+    changed = {
+        **{one.name: getattr(found.states, one.name) for one in fields(found.states)},
         "actions": found.actions,
-        "clearance": jnp.where(rejected, jnp.nan, clearance),
         "initial_qpos": jnp.where(rejected, jnp.nan, moved.qpos),
         "initial_qvel": jnp.where(rejected, jnp.nan, moved.qvel),
         "initial_commanded": jnp.where(rejected[..., None], jnp.nan, moved.commanded),
     }
+    if clearance is not None:
+        changed["clearance"] = jnp.where(rejected, jnp.nan, clearance)
+    return changed

@@ -1,76 +1,32 @@
-"""Augmentations of ropes: transitions and trajectories moved rigidly among obstacles that stay."""
+"""Ropes as what is augmented: rope and grippers move, obstacles stay."""
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float
 
-from doojax.augmentation.objectives import Weights, any_transform, free_hands
-from doojax.augmentation.projection import Problem, ProjectionConfig, Term, project
+from doojax.augmentation.examples import Bounds, Movable, Setting
 from doojax.geometry.motion import RigidMotion
+from doojax.geometry.sdf import signed_distance
+from doojax.simulation.scenes import Scene
+from doojax.simulation.state import SimState
 from doojax.tasks.base import Box, Task
-from doojax.types import Obstacles, RopeState, ShapeKind, Verdict
+from doojax.tasks.starts import moved_state
+from doojax.types import Obstacles, RopeState, ShapeKind
 
-LEAST_MOVE = 1e-4  # m: an example in which every point moves less shows nothing
 UPRIGHT = 10.0  # m, half the height of obstacles that a planar rope meets
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """Between which transforms are drawn, uniformly; the released code's for ropes, but no tilt.
-
-    A rope hangs along gravity: a tilted one is another rope. In a plane, `planar` leaves z out, too.
-    """
-
-    translation: tuple[float, float, float] = (0.25, 0.25, 0.25)  # m, either way along each axis
-    rotation: tuple[float, float, float] = (0.0, 0.0, 0.5)  # rad, either way, rotation vector
-
-    def __post_init__(self):
-        """Refuse what moves nothing, or has no meaning."""
-        values = (*self.translation, *self.rotation)
-        if not all(0 <= value < np.inf for value in values):
-            raise ValueError(f"bounds are {self}, expected numbers of at least 0")
-        if not any(values):
-            raise ValueError("the range of transforms is zero: nothing would move; give a bound above 0")
-        if np.linalg.norm(self.rotation) > np.pi:
-            raise ValueError(f"rotation is {self.rotation}, expected at most pi in all: more is less")
-
-    @property
-    def planar(self) -> "Bounds":
-        """Of these, what stays in a horizontal plane."""
-        return Bounds((*self.translation[:2], 0.0), (0.0, 0.0, self.rotation[2]))
-
-    @property
-    def array(self) -> Float[Array, "6"]:
-        """The upper bounds; the lower ones are their opposites."""
-        return jnp.array([*self.translation, *self.rotation], dtype=jnp.float32)
-
-
-class RopeExamples(eqx.Module):
-    """B examples of T actions; T is 1 for transitions."""
-
-    states: RopeState  # points [B, T+1, N, 3], grippers [B, T+1, G, 3]
-    actions: Float[Array, "*b T G 3"]  # m
-    obstacles: Obstacles  # [B, M]
-    sound: Bool[Array, "*b"]  # false where the example has a fault
-
-
-class Setting(eqx.Module):
+class RopeSetting(Setting):
     """What augmentations of a task's ropes need to know of it."""
 
     rope_radius: Float[Array, ""]  # m
     gripper_radii: Float[Array, "G"]
-    box_low: Float[Array, "3"]
-    box_high: Float[Array, "3"]
-    bounds: Float[Array, "6"]  # of translation (m) and rotation vector (rad), either way
     planar: bool = eqx.field(static=True)
 
     @classmethod
-    def of(cls, task: Task, bounds: Bounds = Bounds(), box: Box | None = None) -> "Setting":
+    def of(cls, task: Task, bounds: Bounds = Bounds(), box: Box | None = None) -> "RopeSetting":  # noqa: B008
         """A task's ropes in its workspace, or in another box.
 
         Raises:
@@ -87,26 +43,32 @@ class Setting(eqx.Module):
             planar=planar,
         )
 
+    def movable(self, states: RopeState, obstacles: Obstacles) -> Movable:
+        """Rope and grippers, also on the straight way from state to state."""
+        points, radii = moving_points(self, states)
+        ways = [jnp.abs(leaf - leaf[:1]).max() for leaf in (states.points, states.grippers)]
+        return Movable(points, radii, self._around(obstacles), jnp.maximum(*ways))
 
-class Augmented(eqx.Module):
-    """B results; those rejected hold NaN instead of states, actions and transform, never a copy."""
+    def moved(self, states: RopeState, motion: RigidMotion) -> RopeState:
+        """All of it."""
+        return states.moved(motion)
 
-    states: RopeState
-    actions: Float[Array, "*b T G 3"]
-    transform: Float[Array, "*b 6"]  # translation (m), rotation vector (rad)
-    centre: Float[Array, "*b 3"]  # what it turns about, m
-    target: Float[Array, "*b 6"]  # what was drawn
-    verdict: Int[Array, "*b"]  # `Verdict`
-    iterations: Int[Array, "*b"]
+    def moved_start(self, scene: Scene, start: SimState, states: RopeState, motion: RigidMotion) -> SimState:
+        """All of it."""
+        return moved_state(scene, start, motion.about_origin, motion.quaternion)
 
-    @property
-    def motion(self) -> RigidMotion:
-        """The motions, [B]."""
-        return jax.vmap(RigidMotion.of)(self.transform, self.centre)
+    def clearance(self, states: RopeState, obstacles: Obstacles) -> Float[Array, "T1"]:
+        """Of rope and grippers."""
+        points, radii = moving_points(self, states, between=0)
+        distance = signed_distance(self._around(obstacles), points) - radii
+        return distance.reshape(len(states.points), -1).min(-1)
+
+    def _around(self, obstacles: Obstacles) -> Obstacles:
+        return upright(obstacles) if self.planar else obstacles
 
 
 def moving_points(
-    setting: Setting, states: RopeState, between: int = 2
+    setting: RopeSetting, states: RopeState, between: int = 2
 ) -> tuple[Float[Array, "Q 3"], Float[Array, "Q"]]:
     """Points on the axis of the rope and the grippers' centres at T + 1 states and between them, and radii.
 
@@ -134,89 +96,3 @@ def upright(obstacles: Obstacles) -> Obstacles:
     tall = obstacles.half_size.at[..., 2].set(UPRIGHT)
     capsule = (obstacles.kind == ShapeKind.CAPSULE)[..., None]
     return replace(obstacles, half_size=jnp.where(capsule, obstacles.half_size, tall))
-
-
-@eqx.filter_jit
-def augment(
-    keys: Key[Array, "B"],
-    examples: RopeExamples,
-    setting: Setting,
-    config: ProjectionConfig = ProjectionConfig(),  # noqa: B008
-    weights: Weights = Weights(),  # noqa: B008
-    validity: Term = any_transform,
-    robot: Term = free_hands,
-) -> Augmented:
-    """One augmentation of each example; each depends on its own key and example alone.
-
-    Args:
-        keys: of the targets, one for each example.
-        examples: what is moved, among what stays.
-        setting: see `Setting`.
-        config: of the projection.
-        weights: of its objective.
-        validity: equation 3.4.
-        robot: equation 3.7.
-
-    Returns:
-        see `Augmented`. Examples that have a fault or a number missing, in which nothing moves, or that leave
-        the workspace themselves, are refused, with a verdict of their own.
-    """
-    one = partial(
-        _augment_one, setting=setting, config=config, weights=weights, validity=validity, robot=robot
-    )
-    return jax.vmap(one)(keys, examples.states, examples.actions, examples.obstacles, examples.sound)
-
-
-def _augment_one(
-    key: Array,
-    states: RopeState,
-    actions: Array,
-    obstacles: Obstacles,
-    sound: Array,
-    *,
-    setting: Setting,
-    config: ProjectionConfig,
-    weights: Weights,
-    validity: Term,
-    robot: Term,
-) -> Augmented:
-    finite = sound & jnp.isfinite(actions).all()
-    for leaf in jax.tree.leaves((states, obstacles)):
-        finite &= jnp.isfinite(leaf).all()
-    points, radii = moving_points(setting, states)
-    points = jnp.where(finite, points, 0.0)
-    low, high = -setting.bounds, setting.bounds
-    problem = Problem(
-        points=points,
-        radii=radii,
-        obstacles=upright(obstacles) if setting.planar else obstacles,
-        box_low=setting.box_low,
-        box_high=setting.box_high,
-        low=low,
-        high=high,
-    )
-    target = jax.random.uniform(key, (6,), low.dtype, minval=low, maxval=high)
-    way = [jnp.abs(leaf - leaf[:1]).max() for leaf in (states.points, states.grippers)]
-    moves = jnp.maximum(*way) > LEAST_MOVE
-    tolerance = config.box_tolerance
-    inside = ((points >= setting.box_low - tolerance) & (points <= setting.box_high + tolerance)).all()
-
-    found = project(problem, target, finite & moves & inside, config, weights, validity, robot)
-    verdict = found.verdict
-    for reason, refused in (
-        (Verdict.OUTSIDE, ~inside),
-        (Verdict.NOTHING_MOVED, ~moves),
-        (Verdict.FAULTY, ~finite),
-    ):
-        verdict = jnp.where(refused, int(reason), verdict)
-    transform = jnp.where(verdict == Verdict.ACCEPTED, found.parameters, jnp.nan)
-    motion = RigidMotion.of(transform, problem.centre)
-    return Augmented(
-        states=states.moved(motion),
-        actions=motion.vectors(actions),
-        transform=transform,
-        centre=problem.centre,
-        target=target,
-        verdict=verdict,
-        iterations=found.iterations,
-    )

@@ -1,11 +1,11 @@
 """Are augmentations what the simulator would do? And how many come in a second.
 
-Transitions are drawn in the middle of random trajectories, so that ropes lie against obstacles. Each is moved
-as the augmentation says, start, action and obstacles' place among the rest included, and simulated on MuJoCo
-C: the error is the distance (root mean square over the rope's points) between what the simulator does and the
-augmented outcome. Beside it stand
+Of ropes, transitions are drawn in the middle of random trajectories, so that they lie against obstacles; of
+pushing, examples are whole trajectories. Each is moved as the augmentation says, start and actions included,
+and simulated on MuJoCo C: the error is the distance (root mean square over the rope's points, or over bodies
+and hand) between where the simulator ends and the augmented outcome. Beside it stand
 
-- ``original``: the transition itself, simulated again from a start that lies a tenth of a millimetre aside
+- ``original``: the example itself, simulated again from a start that lies a tenth of a millimetre aside
   (moved rigidly), as far as "touches or not" means anything. Simulated again from the very same start it
   comes out the same to the last bit;
 - ``random``: the same drawn transforms, without the projection.
@@ -17,6 +17,7 @@ hand's greatest force is that of each axis, and friction on a floor has a few di
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,7 +26,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from doojax.actions import sampled
-from doojax.augmentation.ropes import Augmented, RopeExamples, Setting, augment
+from doojax.augmentation import Augmented, Examples, Setting, augment, setting_of, usual
+from doojax.augmentation.examples import transformed
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.datasets.collect import random_trajectories
@@ -33,32 +35,33 @@ from doojax.experiments.reports import Row, publish_rows, row, show
 from doojax.geometry.motion import RigidMotion
 from doojax.geometry.sdf import FAR
 from doojax.keys import numbered, stream
-from doojax.learning.labels import rms_distance
+from doojax.parts import in_parts, worth_parts
 from doojax.simulation.state import SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
-from doojax.tasks.starts import moved_state
-from doojax.types import RopeState, Verdict
+from doojax.types import PushingState, Verdict
 
 BEFORE = 5  # control periods before the transition
 ASIDE = 1e-4  # m, of a start that counts as the same
 QUANTILES = (0.5, 0.9)
+TIMES = 2.0  # the simulator's own error, within which an augmentation's should be
 ROUNDS = 3
+PART = 32  # examples that a thread augments at once on a CPU
 
 
 def augmentation(
     *,
-    tasks: tuple[str, ...] = ("rope_dragging", "dual_gripper"),
+    tasks: tuple[str, ...] = ("rope_dragging", "dual_gripper", "planar_pushing"),
     transitions: int = 64,
     seed: int = 0,
     json: bool = False,
     publish: Path | None = None,
 ) -> None:
-    """Measure the error, acceptance and speed of augmented transitions.
+    """Measure the error, acceptance and speed of augmentations.
 
     Args:
-        tasks: whose ropes.
-        transitions: how many, of each task, each with one augmentation.
+        tasks: of which.
+        transitions: how many examples of each task, each with one augmentation.
         seed: of transitions and transforms.
         json: print the rows as JSON instead of a table.
         publish: the folder of results whose summary.json gets the figures; by default they are only shown.
@@ -80,13 +83,22 @@ def measured(task: Task, count: int, seed: int) -> list[Row]:
     """All rows of one task."""
     simulator = task.simulator("mujoco")
     starts, examples = drawn(task, simulator, count, seed)
-    setting = Setting.of(task)
+    bounds, projection = usual(task)
+    setting = setting_of(task, bounds)
     keys = numbered(stream(seed, "bench", "augment", "targets"), range(count))
-    found = jax.block_until_ready(augment(keys, examples, setting))
-    seconds = []
+
+    def all_of_them() -> Augmented:
+        def some(keys: Array, examples: Examples) -> Augmented:
+            return augment(keys, examples, setting, projection)
+
+        if worth_parts(PART, examples.actions):
+            return in_parts(some, PART, keys, examples)
+        return jax.block_until_ready(some(keys, examples))
+
+    found, seconds = all_of_them(), []
     for _ in range(ROUNDS):
         begun = time.perf_counter()
-        jax.block_until_ready(augment(keys, examples, setting))
+        all_of_them()
         seconds.append(time.perf_counter() - begun)
     verdict = np.asarray(found.verdict)
     accepted = verdict == Verdict.ACCEPTED
@@ -96,7 +108,11 @@ def measured(task: Task, count: int, seed: int) -> list[Row]:
         if one != Verdict.ORIGINAL and (verdict == one).any():
             share = (verdict == one).mean()
             rows.append(row("acceptance", tags | {"reason": one.name.lower()}, share, "", n=count))
-    for method, errors in compared(task, simulator, starts, examples, found).items():
+    measured = compared(task, simulator, setting, starts, examples, found)
+    if accepted.any():
+        within = measured["augmented"] <= TIMES * measured["original"]
+        rows.append(row("resimulated_within", tags | {"times": TIMES}, within.mean(), "", n=within.size))
+    for method, errors in measured.items():
         for quantile in QUANTILES if len(errors) else ():
             value = np.quantile(errors, quantile)
             at = tags | {"method": method, "quantile": quantile}
@@ -104,14 +120,20 @@ def measured(task: Task, count: int, seed: int) -> list[Row]:
     return rows
 
 
-def drawn(task: Task, simulator: Simulator, count: int, seed: int) -> tuple[SimState, RopeExamples]:
-    """Transitions within random trajectories, and the states that they were simulated from."""
+def drawn(task: Task, simulator: Simulator, count: int, seed: int) -> tuple[SimState, Examples]:
+    """Examples, and the states that they were simulated from."""
     start_key, action_key = (stream(seed, "bench", "augment", name) for name in ("starts", "actions"))
+    if task.scene.cylinders:
+        keys = numbered(start_key, range(count))
+        starts, _, trajectory = random_trajectories(task, simulator, keys, task.trajectory_states - 1)
+        sound = jnp.asarray((np.asarray(trajectory.faults) == 0).all(1))
+        states = jax.tree.map(jnp.asarray, trajectory.states)
+        return starts, Examples(states, jnp.asarray(trajectory.actions), None, sound)
     _, starts, _ = random_trajectories(task, simulator, numbered(start_key, range(count)), BEFORE)
     rope, none = simulator.observations(starts).state, jnp.zeros((count, task.grippers, 3))
     actions = _actions(task, numbered(action_key, range(count)), rope, none)
     _, trajectory = simulator.rollout(starts, actions[:, None])
-    examples = RopeExamples(
+    examples = Examples(
         states=jax.tree.map(jnp.asarray, trajectory.states),
         actions=actions[:, None],
         obstacles=jax.vmap(simulator.obstacles)(starts),
@@ -121,7 +143,12 @@ def drawn(task: Task, simulator: Simulator, count: int, seed: int) -> tuple[SimS
 
 
 def compared(
-    task: Task, simulator: Simulator, starts: SimState, examples: RopeExamples, found: Augmented
+    task: Task,
+    simulator: Simulator,
+    setting: Setting,
+    starts: SimState,
+    examples: Examples,
+    found: Augmented,
 ) -> Mapping[str, np.ndarray]:
     """Errors (m) of the accepted augmentations, of their originals, and of what was drawn for them."""
     accepted = np.asarray(found.verdict) == Verdict.ACCEPTED
@@ -134,7 +161,7 @@ def compared(
         "random": (found.target, sound),
     }
     return {
-        name: resimulation_errors(task, simulator, starts, examples, parameters, found.centre)[chosen]
+        name: resimulation_errors(task, simulator, setting, starts, examples, parameters)[chosen]
         for name, (parameters, chosen) in errors.items()
     }
 
@@ -142,35 +169,41 @@ def compared(
 def resimulation_errors(
     task: Task,
     simulator: Simulator,
+    setting: Setting,
     starts: SimState,
-    examples: RopeExamples,
+    examples: Examples,
     parameters: Float[Array, "B 6"],
-    centre: Float[Array, "B 3"],
 ) -> Float[np.ndarray, "B"]:
-    """Distances (m) between what the simulator makes of moved transitions and their moved outcomes.
+    """Distances (m) between where the simulator takes moved examples and their moved outcomes.
 
     At most `FAR`, and that where the simulation blows up.
     """
-    moved, actions, outcomes = _moved(task, starts, examples, parameters, centre)
+    moved, actions, outcomes = _moved(task, setting, starts, examples, parameters)
     _, again = simulator.rollout(moved, actions)
     last = jax.tree.map(lambda leaf: jnp.asarray(leaf)[:, -1], again.states)
-    errors = np.array(rms_distance(last, outcomes))
+    errors = np.array(jnp.sqrt(((_places(last) - _places(outcomes)) ** 2).sum(-1).mean(-1)))
     return np.nan_to_num(errors, nan=FAR, posinf=FAR).clip(max=FAR)
 
 
-@eqx.filter_jit
-def _moved(task: Task, starts: SimState, examples: RopeExamples, parameters: Array, centre: Array):
-    def one(start: SimState, states: RopeState, actions: Array, parameters: Array, centre: Array):
-        motion = RigidMotion.of(parameters, centre)
-        last = jax.tree.map(lambda leaf: leaf[-1], states).moved(motion)
-        start = moved_state(task.scene, start, motion.about_origin, motion.quaternion)
-        return start, motion.vectors(actions), last
-
-    return jax.vmap(one)(starts, examples.states, examples.actions, parameters, centre)
+def _places(states: Any) -> Float[Array, "B P 3"]:
+    """What errors are measured of: a rope's points, or all bodies."""
+    return states.bodies() if isinstance(states, PushingState) else states.points
 
 
 @eqx.filter_jit
-def _actions(task: Task, keys: Array, ropes: RopeState, previous: Array) -> Array:
+def _moved(task: Task, setting: Setting, starts: SimState, examples: Examples, parameters: Array):
+    states, actions = transformed(examples, setting, parameters)
+
+    def one(start: SimState, before: Any, obstacles: Any, parameters: Array) -> SimState:
+        motion = RigidMotion.of(parameters, setting.movable(before, obstacles).points.mean(0))
+        return setting.moved_start(task.scene, start, before, motion)
+
+    moved = jax.vmap(one)(starts, examples.states, examples.obstacles, parameters)
+    return moved, actions, jax.tree.map(lambda leaf: leaf[:, -1], states)
+
+
+@eqx.filter_jit
+def _actions(task: Task, keys: Array, ropes: Any, previous: Array) -> Array:
     def one(key, rope, before):
         return sampled(task.actions, key, rope, before)
 

@@ -21,6 +21,7 @@ from doojax.datasets.writer import DatasetWriter
 from doojax.files import alone_in
 from doojax.keys import check_seed, numbered, stream
 from doojax.simulation.engines import resolve_engine
+from doojax.simulation.scenes import Scene
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Phase, Task, observed
@@ -56,7 +57,7 @@ def collect(
     bit on MuJoCo C, and but for rounding where XLA simulates, which it does otherwise in another batch.
 
     Args:
-        task: rope_dragging or dual_gripper.
+        task: rope_dragging, dual_gripper or planar_pushing.
         phase: unconstrained (phase one, no obstacles) or constrained (phase two).
         trajectories: how many.
         states: per trajectory, one more than actions; the thesis's number by default.
@@ -217,15 +218,15 @@ def joined(parts: list[Trajectory]) -> Trajectory:
 def schema(task: Task, periods: int) -> dict[str, Field]:
     """The fields of a data set of ``task`` with ``periods`` actions a trajectory."""
     scene, t = task.scene, periods
-    bodies, action = len(scene.obstacles), nothing_of(task.actions).shape
-    shapes = sum(len(obstacle.shapes) for obstacle in scene.obstacles)
+    bodies, action = max(len(scene.obstacles), 1), nothing_of(task.actions).shape
+    shapes = max(sum(len(obstacle.shapes) for obstacle in scene.obstacles), 1)
     commanded = (task.grippers, 2 if scene.planar else 3)
     nan = {"may_be_missing": True}  # in a simulation that blew up
     states = {
         name: Field((t + 1, *value.shape), "float32", *STATES.get(name, ("1", name)), **nan)
         for name, value in vars(task.blank).items()
     }
-    return {
+    every = {
         **states,
         "actions": Field((t, *action), "float32", "m", "what was commanded, such as displacements"),
         "faults": Field((t,), "int32", "1", "bits of doojax.simulation.Fault"),
@@ -243,6 +244,16 @@ def schema(task: Task, periods: int) -> dict[str, Field]:
         "initial_commanded": Field(commanded, "float32", "m", "where grippers had been sent, for replay"),
         "environment": Field((), "int32", "1", "trajectories with the same number share a scene"),
     }
+    return {name: field for name, field in every.items() if name not in _absent(scene)}
+
+
+def _absent(scene: Scene) -> set[str]:
+    """What trajectories of a scene without ropes, or without obstacles, do not have."""
+    absent = set() if scene.links else {"stretch"}
+    if not scene.obstacles:
+        absent |= {f"obstacle_{name}" for name in Obstacles.__annotations__}
+        absent |= {"body_position", "body_quaternion", "clearance"}
+    return absent
 
 
 def stored_arrays(
@@ -265,8 +276,9 @@ def stored_arrays(
         "initial_commanded": start.commanded,
         "environment": numbers.astype(np.int32),
     }
-    arrays = {name: np.array(value) for name, value in values.items()}
-    for name in (*states, "clearance", "stretch"):
+    absent = _absent(simulator.scene)
+    arrays = {name: np.array(value) for name, value in values.items() if name not in absent}
+    for name in {*states, "clearance", "stretch"} - absent:
         arrays[name][~np.isfinite(arrays[name])] = np.nan  # no value: the fault says why
     return arrays
 

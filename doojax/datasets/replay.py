@@ -18,7 +18,7 @@ from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
 from doojax.tasks.ropes import task_of
-from doojax.types import Trajectory
+from doojax.types import State, Trajectory
 
 MODEL = "model/"  # before the names of model fields, which carry another rope
 _STATE_FIELDS = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
@@ -91,19 +91,22 @@ def replay(path: Path, /, *, trajectory: int = 0, engine: str = "auto") -> None:
     simulator = task.simulator(engine)
     batch = jax.tree.map(lambda leaf: leaf[None], (state, actions))
     _, again = simulator.rollout(*batch)
-    _show(console, np.asarray(again.states.points[0]), points, np.asarray(again.faults[0]), faults, again)
+    found = np.asarray(_passive(again.states)[0])
+    _show(console, found, points, np.asarray(again.faults[0]), faults, again)
 
 
 def stored_starts(dataset: Dataset, rows: Int[np.ndarray, "B"]) -> SimState:
     """The states that some of a data set's trajectories were simulated from, [B]."""
-    count = len(rows)
+    count, bodies = len(rows), (jnp.zeros((len(rows), 0, 3)), jnp.zeros((len(rows), 0, 4)))
+    if "body_position" in dataset.fields:
+        bodies = tuple(jnp.asarray(dataset[f"body_{name}"][rows]) for name in ("position", "quaternion"))
     return SimState(
         qpos=jnp.asarray(dataset["initial_qpos"][rows]),
         qvel=jnp.asarray(dataset["initial_qvel"][rows]),
         commanded=jnp.asarray(dataset["initial_commanded"][rows]),
-        obstacle_position=jnp.asarray(dataset["body_position"][rows]),
-        obstacle_quaternion=jnp.asarray(dataset["body_quaternion"][rows]),
-        holding=jnp.ones((count, dataset["grippers"][rows].shape[2]), dtype=bool),
+        obstacle_position=bodies[0],
+        obstacle_quaternion=bodies[1],
+        holding=jnp.ones((count, len(task_of(dataset.config).scene.layout.holds)), dtype=bool),
         faults=jnp.zeros(count, dtype=jnp.int32),
         model_fields={},
     )
@@ -121,9 +124,14 @@ def _from_dataset(dataset: Dataset, number: int):
         dataset.config["engine"],
         jax.tree.map(lambda leaf: leaf[0], stored_starts(dataset, np.array([number]))),
         jnp.asarray(dataset["actions"][number]),
-        dataset["points"][number],
+        np.asarray(_passive(dataset.states(number, type(task_of(dataset.config).blank)))),
         dataset["faults"][number],
     )
+
+
+def _passive(states: State) -> Float[Array, "*b K 3"]:
+    """Where the bodies are that no action commands, m."""
+    return states.bodies()[..., : states.passive, :]
 
 
 def _from_failures(path: Path, number: int):

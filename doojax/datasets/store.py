@@ -33,6 +33,7 @@ from doojax.datasets.arrays import open_array
 from doojax.datasets.files import chunk_file, complete_shards, record_file
 from doojax.datasets.manifest import Field, Manifest, read_manifest
 from doojax.datasets.splits import split_by_environment
+from doojax.datasets.states import state_names
 from doojax.files import file_digest
 from doojax.reading import read_json
 from doojax.types import Obstacles, RopeState, Trajectory
@@ -267,8 +268,9 @@ class Dataset:
             raise ValueError(f"the {name} split is empty: {scenes} scenes are too few, collect 10 or more")
         return splits[name]
 
-    def states(self, indices: Indices, kind: type[Any] = RopeState) -> Any:
-        """States [k, T+1] of a type whose fields are the data set's, such as a rope's points and grippers."""
+    def states(self, indices: Indices, kind: type[Any] | None = None) -> Any:
+        """States [k, T+1] of a type whose fields are the data set's; by default that of `doojax.types`."""
+        kind = state_names(self.fields)[0] if kind is None else kind
         names = [one.name for one in dataclasses.fields(kind)]
         return kind(**{name: jnp.asarray(self[name][indices]) for name in names})
 

@@ -65,6 +65,8 @@ Start = Callable[[Array], SimState]
 class Simulator(Protocol):
     """One scene on one engine. `reset`, `step` and `observe` take one element; `rollout` takes a batch."""
 
+    scene: Scene
+
     def reset(self, key: Array) -> SimState:
         """A start drawn from the task's distribution."""
         ...

@@ -5,6 +5,7 @@ from doojax.tasks.base import Task as Task
 from doojax.tasks.dual_gripper import DualGripper as DualGripper
 from doojax.tasks.grippers import gripper_goal as gripper_goal
 from doojax.tasks.grippers import point_goal as point_goal
+from doojax.tasks.planar_pushing import PlanarPushing as PlanarPushing
 from doojax.tasks.registry import TASKS as TASKS
 from doojax.tasks.registry import make_task as make_task
 from doojax.tasks.registry import register as register

@@ -10,7 +10,7 @@ import pytest
 
 from doojax.augmentation import command
 from doojax.augmentation.command import augment_dataset
-from doojax.augmentation.ropes import Bounds
+from doojax.augmentation.examples import Bounds
 from doojax.commands import parsed
 from doojax.datasets import Dataset
 from doojax.datasets.collect import collect, command_of

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from doojax.augmentation import Bounds, RopeExamples, Setting, augment
+from doojax.augmentation import Bounds, Examples, RopeSetting, augment
 from doojax.augmentation.ropes import moving_points, upright
 from doojax.geometry.sdf import signed_distance
 from doojax.keys import numbered, stream
@@ -13,7 +13,7 @@ from doojax.tasks import make_task
 from doojax.types import Obstacles, RopeState, ShapeKind, Verdict
 
 TOY = make_task("toy")
-SETTING = Setting.of(TOY)
+SETTING = RopeSetting.of(TOY)
 
 
 def examples():
@@ -31,7 +31,7 @@ def examples():
         active=jnp.array([False]),
     )
     one = (states, step[None, None], wall, jnp.array(True))
-    return RopeExamples(*jax.tree.map(lambda leaf: jnp.stack([leaf] * 5), one))
+    return Examples(*jax.tree.map(lambda leaf: jnp.stack([leaf] * 5), one))
 
 
 def test_refusals_are_counted_and_hold_no_values():
@@ -42,7 +42,7 @@ def test_refusals_are_counted_and_hold_no_values():
     points[3, 1, 2, 0] = np.nan
     sound = jnp.array([True, True, True, True, False])
     states = RopeState(jnp.array(points), jnp.array(grippers))
-    given = RopeExamples(states, given.actions, given.obstacles, sound)
+    given = Examples(states, given.actions, given.obstacles, sound)
     found = augment(numbered(stream(0, "test"), range(5)), given, SETTING)
     reasons = [Verdict.ACCEPTED, Verdict.NOTHING_MOVED, Verdict.OUTSIDE, Verdict.FAULTY, Verdict.FAULTY]
     assert found.verdict.tolist() == reasons

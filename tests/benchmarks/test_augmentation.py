@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from doojax.augmentation import Setting, augment
+from doojax.augmentation import augment, setting_of
 from doojax.benchmarks.augmentation import augmentation, compared, drawn
 from doojax.keys import numbered, stream
 from doojax.tasks import make_task
@@ -17,8 +17,9 @@ def test_accepted_augmentations_are_what_the_simulator_does_and_random_ones_are_
     task = make_task("toy")
     simulator = task.simulator("mujoco")
     starts, examples = drawn(task, simulator, COUNT, 0)
-    found = augment(numbered(stream(0, "test"), range(COUNT)), examples, Setting.of(task))
-    errors = compared(task, simulator, starts, examples, found)
+    setting = setting_of(task)
+    found = augment(numbered(stream(0, "test"), range(COUNT)), examples, setting)
+    errors = compared(task, simulator, setting, starts, examples, found)
     accepted = int((np.asarray(found.verdict) == Verdict.ACCEPTED).sum())
     assert {name: len(values) for name, values in errors.items()} == {
         "augmented": accepted,

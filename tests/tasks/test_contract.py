@@ -1,4 +1,4 @@
-"""What every task promises, for every task there is."""
+"""What every task with a rope promises; pushing has tests of its own."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ BATCH, PERIODS = 16, 4
 PHASES = ("unconstrained", "constrained")
 
 
-@pytest.fixture(scope="module", params=sorted(TASKS))
+@pytest.fixture(scope="module", params=sorted(set(TASKS) - {"planar_pushing"}))
 def task(request):
     return make_task(request.param)
 
