@@ -118,10 +118,10 @@ def test_a_conformal_threshold_is_what_a_classifier_must_say(tmp_path):
     rope, obstacles = SIMULATOR.observe(state), SIMULATOR.obstacles(state)
     step = Transition(rope, jnp.zeros((1, 3)), rope, jnp.zeros(()))
     for judge, threshold in ((plain.reliability, 0.5), (strict.reliability, 0.83)):
-        found = eqx.filter_jit(judge)(obstacles, step)
-        assert bool(found.accepted) == (float(found.score) > threshold)
+        judged = eqx.filter_jit(judge)(obstacles, step)
+        assert bool(judged.accepted) == (float(judged.score) > threshold)
     assert strict.reliability.threshold == 0.83
-    assert found.score == eqx.filter_jit(plain.reliability)(obstacles, step).score
+    assert judged.score == eqx.filter_jit(plain.reliability)(obstacles, step).score
     for text in ("conformal:0.2", "0.05", "probability:0.05"):
         with pytest.raises(ValueError, match=r"expected one of those that .* has: conformal:0.05"):
             make_method("classifier", TOY, SIMULATOR, found, text)
