@@ -16,7 +16,7 @@ from doojax.learning.checkpoints import Header, load_model, save_model
 from doojax.models import Reliability
 from doojax.models.rasters import Encoder, ViewConfig, convolved, rasterise, view
 from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
-from doojax.types import Obstacles, ShapeKind
+from doojax.types import Obstacles, ShapeKind, Transition
 
 from .voxel_examples import DEEP, FLAT, box, rope
 
