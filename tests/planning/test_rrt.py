@@ -204,7 +204,7 @@ def test_a_simulator_outside_of_jit_grows_the_tree_that_it_grows_inside():
 
     class Outside:  # hides that the simulator is a pytree
         def __init__(self, inner):
-            for name in ("reset", "step", "observe", "observations", "obstacles", "rollout"):
+            for name in ("scene", "reset", "step", "observe", "observations", "obstacles", "rollout"):
                 setattr(self, name, getattr(inner, name))
 
     # the whole batch at once inside, too: batches of different sizes are rounded differently
