@@ -74,7 +74,7 @@ def a_run_without_epochs(path):
 def a_damaged_run(path):
     run_directory(path, 3)
     (path / "config.json").write_text("{")
-    return "config.json beside it cannot be read"
+    return "config.json is not the config of a run"
 
 
 BAD = [nothing, a_folder_of_something_else, another_file, an_empty_set, a_damaged_manifest]
