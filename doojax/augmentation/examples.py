@@ -1,5 +1,6 @@
 """Augmentations of examples: what moves in them, moved rigidly to among what stays."""
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -76,21 +77,21 @@ class Setting(eqx.Module):
     box_high: Float[Array, "3"]
     bounds: Float[Array, "6"]  # of translation (m) and rotation vector (rad), either way
 
+    @abstractmethod
     def movable(self, states: Any, obstacles: Any) -> Movable:
         """What moves in states [T+1], and what stays."""
-        raise NotImplementedError
 
+    @abstractmethod
     def moved(self, states: Any, motion: RigidMotion) -> Any:
         """The states [T+1] with what moves in them elsewhere."""
-        raise NotImplementedError
 
+    @abstractmethod
     def moved_start(self, scene: Scene, start: SimState, states: Any, motion: RigidMotion) -> SimState:
         """The state that the moved example is simulated from."""
-        raise NotImplementedError
 
+    @abstractmethod
     def clearance(self, states: Any, obstacles: Any) -> Float[Array, "T1"] | None:
         """Of moved states, their least distance to an obstacle, m; None where no data set has it."""
-        raise NotImplementedError
 
 
 class Augmented(eqx.Module):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from doojax.learning.fit import FitConfig
-from doojax.models.propnet import PropNet, PropNetConfig, roll_out
+from doojax.models.propnet import PropNet, PropNetConfig, pushed_along
 from doojax.types import PushingState
 
 EPSILON = 1e-6  # m, below which the loss is smooth
@@ -82,7 +82,7 @@ class PropNetProblem(eqx.Module):
             all_moves = self.train.moves[trajectory]
             moves = jax.lax.dynamic_slice_in_dim(all_moves, start, self.window)
             before = jnp.where(start > 0, all_moves[jnp.maximum(start - 1, 0)], 0.0)
-            _, found = roll_out(model, places[0], before, places[:, -1], moves[:, -1])
+            _, found = pushed_along(model, places[0], before, places[:, -1], moves[:, -1])
             return jnp.sqrt(((found - moves[:, :-1]) ** 2).sum(-1) + EPSILON**2).mean()
 
         return jax.vmap(one)(trajectory, start).mean()
@@ -96,7 +96,7 @@ def predicted(model: PropNet, data: PushingData) -> tuple[Float[Array, "K T N 2"
     """Places after each period, and motions, from the first state and the hand's way alone."""
 
     def one(places: Array, moves: Array) -> tuple[Array, Array]:
-        return roll_out(model, places[0], jnp.zeros_like(places[0]), places[:-1, -1], moves[:, -1])
+        return pushed_along(model, places[0], jnp.zeros_like(places[0]), places[:-1, -1], moves[:, -1])
 
     return jax.vmap(one)(data.places, data.moves)
 

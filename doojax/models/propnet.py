@@ -119,7 +119,7 @@ class PropNet(Jittable):
         return receivers, senders, gap < self.config.reach
 
 
-def roll_out(
+def pushed_along(
     model: PropNet,
     places: Float[Array, "K 2"],
     before: Float[Array, "K 2"],

@@ -101,9 +101,8 @@ class MotionPlanner(Jittable):
                 farther away than joints may move.
         """
         robot, index = self.robot, np.array(self.moving)
-        beyond = np.flatnonzero(np.asarray((start < robot.low - 1e-5) | (start > robot.high + 1e-5)))
-        if beyond.size:
-            joint = int(beyond[0])
+        joint = robot.beyond_limits(start)
+        if joint is not None:
             raise ValueError(
                 f"joint {robot.joints[joint]!r} starts at {float(start[joint]):.4g}, beyond its limits, "
                 f"{float(robot.low[joint]):.4g} to {float(robot.high[joint]):.4g}"

@@ -181,9 +181,8 @@ def _damped_step(moves: Numbers, error: Numbers, damping: Array) -> Float[Array,
 
 
 def _check_limits(robot: Robot, present: Float[Array, "J"]) -> None:
-    beyond = np.flatnonzero(np.asarray((present < robot.low - 1e-5) | (present > robot.high + 1e-5)))
-    if beyond.size:
-        joint = int(beyond[0])
+    joint = robot.beyond_limits(present)
+    if joint is not None:
         raise ValueError(
             f"joint {robot.joints[joint]!r} is at {float(present[joint]):.6g}, expected within its limits, "
             f"{float(robot.low[joint]):.6g} to {float(robot.high[joint]):.6g}"

@@ -58,6 +58,11 @@ class Robot(Jittable):
             raise ValueError(f"unknown tool {name!r}, expected one of {', '.join(self.tools)}")
         return self.tools.index(name)
 
+    def beyond_limits(self, joints: Float[Array, "J"]) -> int | None:
+        """The first joint that is beyond its limits by more than rounding; outside of jit."""
+        (beyond,) = np.nonzero(np.asarray((joints < self.low - 1e-5) | (joints > self.high + 1e-5)))
+        return int(beyond[0]) if beyond.size else None
+
     def chain(self, link: int) -> tuple[int, ...]:
         """The joints that move a link, from the base on."""
         found: list[int] = []

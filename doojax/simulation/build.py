@@ -47,7 +47,7 @@ def build_model(
     """Compile ``scene``, with other rope parameters than its own if ``rope`` is given.
 
     Models of one scene differ in values only, never in shapes. Obstacles start parked. ``with_sensors``: of
-    all that `doojax.simulation.layout.read_sensors` reads.
+    all that `doojax.simulation.layout.read_frames` gives.
     """
     scene = _with_rope(scene, rope)
     spec = build_spec(scene)

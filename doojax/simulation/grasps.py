@@ -28,9 +28,9 @@ def graspable(scene: Scene, state: SimState) -> SimState:
     Raises:
         ValueError: the scene is one without grasps.
     """
-    ids, first = _holds(scene)
+    ids, own = _holds(scene)
     data = jnp.asarray(build_model(scene).eq_data, state.qpos.dtype).at[ids.ravel(), 3:6].set(0)
-    let_go = state.holding.at[first : first + ids.size].set(False)
+    let_go = state.holding.at[own].set(False)
     return eqx.tree_at(
         lambda s: (s.holding, s.model_fields), state, (let_go, state.model_fields | {FIELD: data})
     )
@@ -51,8 +51,8 @@ def grasped(scene: Scene, state: SimState, hand: int | Int[Array, ""], place: An
         ValueError: for a scene without grasps or a state that is not `graspable`; outside of jit, for a hand
             that the scene lacks, or a place beyond the rope's ends.
     """
-    ids, first = _holds(scene)
-    _check_hand(scene, state, hand)
+    ids, own = _holds(scene)
+    _check_hand(ids, state, hand)
     if not traced(place) and not 0 <= float(place) <= 1:
         raise ValueError(
             f"place is {float(place):.6g}, expected 0 to 1: from one end of the rope to the other"
@@ -61,14 +61,13 @@ def grasped(scene: Scene, state: SimState, hand: int | Int[Array, ""], place: An
     along = jnp.asarray(place, state.qpos.dtype) * links  # links from the rope's beginning
     link = jnp.clip(jnp.floor(along).astype(int), 0, links - 1)
     offset = jnp.clip(along - jnp.arange(links) - 0.5, -0.5, 0.5) * scene.rope_part.parameters.length / links
-    holds = state.holding[first : first + ids.size].reshape(ids.shape)
-    holds = holds.at[hand].set(jnp.arange(links) == link)
+    holds = state.holding[own].reshape(ids.shape).at[hand].set(jnp.arange(links) == link)
     data = state.model_fields[FIELD].at[jnp.asarray(ids)[hand], 3].set(offset)
     return eqx.tree_at(
         lambda s: (s.holding, s.model_fields),
         state,
         (
-            state.holding.at[first : first + ids.size].set(holds.ravel()),
+            state.holding.at[own].set(holds.ravel()),
             state.model_fields | {FIELD: data},
         ),
     )
@@ -76,20 +75,18 @@ def grasped(scene: Scene, state: SimState, hand: int | Int[Array, ""], place: An
 
 def released(scene: Scene, state: SimState, hand: int | Int[Array, ""]) -> SimState:
     """The state in which a hand holds nothing. Arguments and errors as for `grasped`."""
-    ids, first = _holds(scene)
-    _check_hand(scene, state, hand)
-    holds = state.holding[first : first + ids.size].reshape(ids.shape).at[hand].set(False)
-    return eqx.tree_at(
-        lambda s: s.holding, state, state.holding.at[first : first + ids.size].set(holds.ravel())
-    )
+    ids, own = _holds(scene)
+    _check_hand(ids, state, hand)
+    holds = state.holding[own].reshape(ids.shape).at[hand].set(False)
+    return eqx.tree_at(lambda s: s.holding, state, state.holding.at[own].set(holds.ravel()))
 
 
 def grasp_places(scene: Scene, state: SimState) -> Float[Array, "G"]:
     """Where each hand holds the rope; NaN for one that holds nothing."""
-    ids, first = _holds(scene)
-    _check_hand(scene, state, 0)
+    ids, own = _holds(scene)
+    _check_hand(ids, state, 0)
     links = ids.shape[1]
-    holds = state.holding[first : first + ids.size].reshape(ids.shape)
+    holds = state.holding[own].reshape(ids.shape)
     offset = state.model_fields[FIELD][ids, 3] * links / scene.rope_part.parameters.length
     place = jnp.where(holds, (jnp.arange(links) + 0.5 + offset) / links, 0).sum(-1)
     return jnp.where(holds.any(-1), place, jnp.nan)
@@ -119,19 +116,19 @@ def check_grasp(scene: Scene, seen: Observation, hand: int, place: float, reach:
         )
 
 
-def _holds(scene: Scene) -> tuple[np.ndarray, int]:
-    """Ids of the equalities by hand and link, and where they begin in `SimState.holding`."""
+def _holds(scene: Scene) -> tuple[np.ndarray, slice]:
+    """Ids of the equalities by hand and link, and where they are in `SimState.holding`."""
     places = scene.layout.places
     if "grasps" not in places:
         raise ValueError(f"scene {scene.name!r} has no grasps: make it with grasps=True")
     before = list(places).index("grasps")
     first = sum(len(one.holds) for one in list(places.values())[:before])
-    return places["grasps"].holds.reshape(-1, scene.links), first
+    ids = places["grasps"].holds.reshape(-1, scene.links)
+    return ids, slice(first, first + ids.size)
 
 
-def _check_hand(scene: Scene, state: SimState, hand: Any) -> None:
+def _check_hand(ids: np.ndarray, state: SimState, hand: Any) -> None:
     if FIELD not in state.model_fields:
         raise ValueError("the state has no data of grasps: make it with graspable(scene, state)")
-    count = len(_holds(scene)[0])
-    if not traced(hand) and not 0 <= int(hand) < count:
-        raise ValueError(f"hand is {int(hand)}, expected 0 to {count - 1}")
+    if not traced(hand) and not 0 <= int(hand) < len(ids):
+        raise ValueError(f"hand is {int(hand)}, expected 0 to {len(ids) - 1}")

@@ -15,8 +15,8 @@ from doojax.goals import Goal
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
 from doojax.tasks.base import Box, Phase, check_phase
-from doojax.tasks.grippers import GripperMoves, along_rope, point_goal, rope_state
-from doojax.types import Obstacles, RopeState, ShapeKind
+from doojax.tasks.grippers import GripperMoves, RopeTask, point_goal
+from doojax.types import Obstacles, ShapeKind
 
 LINKS, LENGTH, RADIUS = 25, 0.8, 0.01
 MIDPOINT = 12
@@ -82,7 +82,7 @@ def default_scene(crowd: int = 1) -> Scene:
 
 
 @dataclass(frozen=True)
-class DualGripper:
+class DualGripper(RopeTask):
     """Two grippers in space; the rope's midpoint (point 12) is to come within 5 cm of a point.
 
     Gripper 0 holds point 0's end and gripper 1 the last point's, in states, actions and goals alike.
@@ -146,11 +146,6 @@ class DualGripper:
             placements=_placements(crowd) if self.phase == "constrained" else None,
         )
 
-    @property
-    def blank(self) -> RopeState:
-        """A state of zeros."""
-        return rope_state(self)
-
     def simulator(self, engine: str = "auto"):
         """The scene on an engine; see `Task.simulator`."""
         from doojax.simulation.engines import make_simulator
@@ -166,10 +161,6 @@ class DualGripper:
 
         place = first_valid(key, region.sample, clear, fallback=jnp.array([0.85, 0.0, 0.85]))
         return point_goal(self, place)
-
-    def reach(self) -> Float[np.ndarray, "NG NG"]:
-        """The rope's length between its points and what the grippers hold, metres."""
-        return along_rope(self)
 
 
 def _box(size: tuple[float, float, float], offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:

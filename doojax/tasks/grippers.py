@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.box import Box
 from doojax.goals import Goal, goal_of
+from doojax.simulation.scenes import Scene
 from doojax.tasks.base import Task
 from doojax.types import RopeState, State
 
@@ -111,15 +112,20 @@ def gripper_goal(task: Task, positions: Float[Array, "G 3"]) -> Goal:
     return goal_of(list(positions), bodies, links + task.grippers, task.goal_threshold)
 
 
-def rope_state(task: Task) -> RopeState:
-    """A state of zeros of a rope and what holds it."""
-    return RopeState(jnp.zeros((task.scene.links, 3)), jnp.zeros((task.grippers, 3)))
+class RopeTask:
+    """What tasks of a rope that hands hold have in common: their states, and how far apart bodies can get."""
 
+    scene: Scene
+    grippers: int
 
-def along_rope(task: Task) -> Float[np.ndarray, "NG NG"]:
-    """How long (m) the rope is between each two of its points and of what the hands hold."""
-    links = task.scene.links
-    hands = task.scene.grippers
-    held = [hand.link + hand.end / 2 for hand in hands if hand.link is not None]
-    place = (np.array([*range(links), *held]) + 0.5) * task.scene.rope_part.parameters.length / links
-    return np.abs(place[:, None] - place)
+    @property
+    def blank(self) -> RopeState:
+        """A state of zeros."""
+        return RopeState(jnp.zeros((self.scene.links, 3)), jnp.zeros((self.grippers, 3)))
+
+    def reach(self) -> Float[np.ndarray, "NG NG"]:
+        """How long (m) the rope is between each two of its points and of what the hands hold."""
+        links = self.scene.links
+        held = [hand.link + hand.end / 2 for hand in self.scene.grippers if hand.link is not None]
+        place = (np.array([*range(links), *held]) + 0.5) * self.scene.rope_part.parameters.length / links
+        return np.abs(place[:, None] - place)

@@ -15,8 +15,8 @@ from doojax.goals import Goal
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
 from doojax.tasks.base import Box, Phase, check_phase
-from doojax.tasks.grippers import GripperMoves, along_rope, point_goal, rope_state
-from doojax.types import Obstacles, RopeState, ShapeKind
+from doojax.tasks.grippers import GripperMoves, RopeTask, point_goal
+from doojax.types import Obstacles, ShapeKind
 
 LINKS, RADIUS = 10, 0.02
 CUBES, CORNERS, WALLS = 6, 3, 4
@@ -56,7 +56,7 @@ def default_scene(crowd: int = 1) -> Scene:
 
 
 @dataclass(frozen=True)
-class RopeDragging:
+class RopeDragging(RopeTask):
     """One gripper, planar; the tail (point 0) is to come within 5 cm of a point.
 
     The arena, rope, obstacle sizes and action radius are those of the thesis's released code (0.15 m where
@@ -111,11 +111,6 @@ class RopeDragging:
             placements=_placements(crowd) if constrained else None,
         )
 
-    @property
-    def blank(self) -> RopeState:
-        """A state of zeros."""
-        return rope_state(self)
-
     def simulator(self, engine: str = "auto"):
         """The scene on an engine; see `Task.simulator`."""
         from doojax.simulation.engines import make_simulator
@@ -131,10 +126,6 @@ class RopeDragging:
 
         place = first_valid(key, region.sample, clear, fallback=jnp.array([0.0, 0.0, RADIUS]))
         return point_goal(self, place)
-
-    def reach(self) -> Float[np.ndarray, "NG NG"]:
-        """The rope's length between its points and what the gripper holds, metres."""
-        return along_rope(self)
 
 
 def _place_rope(extent: float, key: Array, points: Float[Array, "P 3"]) -> tuple[Array, Array]:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from doojax.actions import first_valid
@@ -17,7 +16,7 @@ from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, obstacles_at, parked_poses
 from doojax.simulation.state import SimState, at_rest
 from doojax.tasks.base import Box, Phase, check_phase
-from doojax.tasks.grippers import GripperMoves, along_rope, point_goal, rope_state
+from doojax.tasks.grippers import GripperMoves, RopeTask, point_goal
 from doojax.types import Obstacles, RopeState, ShapeKind, Trajectory
 
 LINKS, PITCH, RADIUS, HEIGHT = 5, 0.05, 0.01, 0.05
@@ -138,7 +137,7 @@ class ToySimulator(Jittable):
 
 
 @dataclass(frozen=True)
-class Toy:
+class Toy(RopeTask):
     """One gripper in a plane; the tail (point 0) is to come within 5 cm of a point."""
 
     name: str = "toy"
@@ -164,11 +163,6 @@ class Toy:
         """Displacements of at most 0.1 m in the plane, to targets in reach."""
         return GripperMoves(MAX_ACTION, HANDS)
 
-    @property
-    def blank(self) -> RopeState:
-        """A state of zeros."""
-        return rope_state(self)
-
     def simulator(self, engine: str = "auto") -> ToySimulator:
         """The analytic dynamics, whatever the engine."""
         check_phase(self.phase)
@@ -182,7 +176,3 @@ class Toy:
 
         place = first_valid(key, REACH.sample, clear, fallback=jnp.array([-0.3, 0.0, HEIGHT]))
         return point_goal(self, place)
-
-    def reach(self) -> Float[np.ndarray, "NG NG"]:
-        """The rope's length between its points and what the gripper holds, metres."""
-        return along_rope(self)

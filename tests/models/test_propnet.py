@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from doojax.keys import generator, stream
-from doojax.models.propnet import PropNet, PropNetConfig, roll_out
+from doojax.models.propnet import PropNet, PropNetConfig, pushed_along
 from doojax.types import PushingState
 
 BODIES, PERIOD = 5, 0.25
@@ -70,7 +70,7 @@ def test_a_step_of_dynamics_is_a_period_of_a_roll_out(model):
         hand=jnp.append(places[-1], 0.02),
     )
     after, doubt = model(None, state, jnp.append(hand_move, 0.0)[None])
-    ends, moves = roll_out(model, places, before, places[-1:], hand_move[None])
+    ends, moves = pushed_along(model, places, before, places[-1:], hand_move[None])
     np.testing.assert_allclose(after.positions[:, :2], ends[0], atol=1e-7)
     np.testing.assert_allclose(after.velocities[:, :2] * PERIOD, moves[0], atol=1e-7)
     np.testing.assert_allclose(after.hand, [0.004, -0.002, 0.02], atol=1e-7)
