@@ -113,7 +113,7 @@ def plan(
     console = Console(markup=False, highlight=False)
     console.print(table)
     if warning := warning_of(saw, method):
-        console.print(f"[yellow]{warning}[/]", highlight=False)
+        console.print(warning, style="yellow")
     if execute:
         console.print(
             f"the rope ends {100 * record.about['final_error_m']:.1f} cm from the goal", highlight=False

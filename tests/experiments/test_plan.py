@@ -29,6 +29,12 @@ def test_a_plan_is_executed_recorded_and_told(tmp_path, capsys):
     assert all(event.kind in said for event in record.events)
 
 
+def test_a_warning_about_models_is_words_without_markup(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("doojax.experiments.plan.warning_of", lambda saw, method: f"{method} is [unknown]")
+    toy(method="oracle", execute=False, out=tmp_path / "plan.npz")
+    assert "\noracle is [unknown]\n" in capsys.readouterr().out
+
+
 def test_no_record_is_overwritten(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for _ in range(2):

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
-from mujoco import mjx
+
+from doojax.simulation.engines.quiet_mjx import mjx
 
 
 def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:

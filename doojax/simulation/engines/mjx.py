@@ -1,7 +1,5 @@
 """MuJoCo MJX: pure functions that jit, vmap, scan and differentiate, on any device that JAX knows."""
 
-import contextlib
-import io
 from typing import Any, Literal
 
 import equinox as eqx
@@ -14,6 +12,7 @@ from doojax.modules import Jittable
 from doojax.parts import in_parts, worth_parts
 from doojax.simulation.build import build_model
 from doojax.simulation.engines.implicit import step
+from doojax.simulation.engines.quiet_mjx import mjx
 from doojax.simulation.layout import (
     Layout,
     Observation,
@@ -26,9 +25,6 @@ from doojax.simulation.layout import (
 from doojax.simulation.scenes import Scene, obstacles_at
 from doojax.simulation.state import Fault, SimState, Start, find_faults
 from doojax.types import Obstacles, Trajectory
-
-with contextlib.redirect_stdout(io.StringIO()):  # it prints that warp is missing, which is no fault
-    from mujoco import mjx
 
 PART = 16  # elements that a thread simulates at once on a CPU
 

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Bool
-from mujoco import mjx
 
 from doojax.simulation.build import build_model
+from doojax.simulation.engines.quiet_mjx import mjx
 from doojax.simulation.scenes import Scene
 from doojax.types import ShapeKind
 
