@@ -60,29 +60,32 @@ BENCHMARKS: Commands = {
 
 COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
-    "train": ("doojax.experiments.train:train", "train dynamics, a classifier, a recovery network"),
+    "train": ("doojax.experiments.training.train:train", "train dynamics, a classifier, a recovery network"),
     "augment": (
         "doojax.augmentation.command:augment_dataset",
         "move what a data set holds to where it is as valid",
     ),
     "augmentation-study": (
-        "doojax.experiments.augmentation_study:augmentation_study",
+        "doojax.experiments.sweeps.augmentation:augmentation_study",
         "train with and without augmentation where data are few, and compare",
     ),
     "evaluate-model": (
-        "doojax.experiments.evaluate_model:evaluate_model",
+        "doojax.experiments.training.evaluate:evaluate_model",
         "measure a trained model on data that it has not seen",
     ),
     "sweep-threshold": (
-        "doojax.experiments.sweep_threshold:sweep_threshold",
+        "doojax.experiments.sweeps.threshold:sweep_threshold",
         "train classifiers for several thresholds and seeds at once, and measure them",
     ),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
     "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),
-    "plan": ("doojax.experiments.plan:plan", "plan and execute in one scene"),
-    "scenes": ("doojax.experiments.scenes:scenes", "draw a set of scenes for trials"),
-    "evaluate": ("doojax.experiments.evaluate:evaluate", "try methods on the same scenes"),
-    "compare": ("doojax.experiments.compare:compare", "tables, a figure and paired tests of an evaluation"),
+    "plan": ("doojax.experiments.trials.plan:plan", "plan and execute in one scene"),
+    "scenes": ("doojax.experiments.trials.scenes:scenes", "draw a set of scenes for trials"),
+    "evaluate": ("doojax.experiments.trials.evaluate:evaluate", "try methods on the same scenes"),
+    "compare": (
+        "doojax.experiments.reports.compare:compare",
+        "tables, a figure and paired tests of an evaluation",
+    ),
     "replay": ("doojax.datasets.replay:replay", "simulate a stored trajectory again"),
     "signature": (
         "doojax.topology.describe:signature",
@@ -90,7 +93,10 @@ COMMANDS: Commands = {
     ),
     "view": ("doojax.viewer.app:view", "look at data sets, predictions and trials in a browser"),
     "bench": (BENCHMARKS, "measure speed"),
-    "report": ("doojax.experiments.tables:report", "write the tables of README and docs from results/"),
+    "report": (
+        "doojax.experiments.reports.tables:report",
+        "write the tables of README and docs from results/",
+    ),
 }
 
 

@@ -162,7 +162,7 @@ def test_a_module_keeps_the_rules(path):
         ("doojax.geometry.sdf", "def f():\n    import doojax.topology.linking", "which geometry may not"),
         ("doojax.geometry.sdf", "from ..topology import linking", "doojax.topology.linking"),
         ("doojax.geometry.sdf", "from doojax import tasks", "which geometry may not"),
-        ("doojax.experiments.trial", "from doojax.viewer import app", "which experiments may not"),
+        ("doojax.experiments.trials.trial", "from doojax.viewer import app", "which experiments may not"),
         ("doojax.models.dynamics", "from doojax.simulation import state", "which models may not"),
         ("doojax.planning.rrt", "from doojax.tasks import base", "which planning may not"),
         ("doojax.planning.rrt", "from doojax.simulation import state", "which planning may not"),

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doojax.commands import COMMANDS, Commands, command_line, load, names_of, parsed
-from doojax.experiments.evaluate import evaluate
-from doojax.experiments.plan import plan
-from doojax.experiments.tables import report
+from doojax.experiments.reports.tables import report
+from doojax.experiments.trials.evaluate import evaluate
+from doojax.experiments.trials.plan import plan
 from doojax.planning import RrtSettings
 
 

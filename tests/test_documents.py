@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from doojax.commands import parsed
-from doojax.experiments.prose import command_faults, commands_of
+from doojax.experiments.reports.prose import command_faults, commands_of
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -19,12 +19,12 @@ from hypothesis import strategies as st
 
 from doojax import cli
 from doojax.datasets.collect import collect
-from doojax.experiments.records import load_record, save_record
-from doojax.experiments.scenes import draw_scenes, save_scenes
+from doojax.experiments.trials.record_files import load_record, save_record
+from doojax.experiments.trials.scenes import draw_scenes, save_scenes
 from doojax.learning.checkpoints import Header, save_model
 from doojax.models.builders import classifier
 from doojax.topology.describe import THREADING
-from tests.experiments.test_compare import record
+from tests.experiments.reports.test_compare import record
 from tests.planning.problems import TOY
 
 DEEP = "[" * 100_000

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from doojax.experiments.records import save_record
+from doojax.experiments.trials.record_files import save_record
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
 from doojax.viewer.examples import prediction_record

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from doojax.benchmarks.medians import median_row
-from doojax.experiments.reports import Row
+from doojax.experiments.reports.rows import Row
 from doojax.keys import numbered, stream
 from doojax.planning import Mppi, SimulatedRollouts
 from doojax.planning.costs import THESIS_WEIGHTS, reaching, smoothness, summed, unstable, weighted

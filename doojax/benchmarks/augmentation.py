@@ -31,7 +31,8 @@ from doojax.augmentation.examples import transformed
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.datasets.collect import random_trajectories
-from doojax.experiments.reports import Row, publish_rows, row, show
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.geometry.motion import RigidMotion
 from doojax.geometry.sdf import FAR
 from doojax.keys import numbered, stream

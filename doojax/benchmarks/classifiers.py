@@ -24,7 +24,8 @@ from jaxtyping import Array
 from doojax.benchmarks.medians import median_row
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
-from doojax.experiments.reports import Row, publish_rows, row, show
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.keys import stream
 from doojax.learning.presets import PresetName, classifier_preset, voxel_classifier_preset
 from doojax.models.classifier import DistanceClassifier

@@ -7,7 +7,7 @@ from pathlib import Path
 from doojax.benchmarks.rollouts import SEED
 from doojax.commands import command_line
 from doojax.datasets.collect import SHARD_SIZE, collect
-from doojax.experiments.reports import publish_rows, row, show
+from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.tasks import make_task
 
 TRAJECTORIES = {  # the thesis's, by task and phase

@@ -22,7 +22,7 @@ from rich.console import Console
 
 from doojax.benchmarks.physics.cases import bent_qpos, still_hand
 from doojax.commands import command_line
-from doojax.experiments.reports import publish_rows, row, show
+from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.simulation.build import build_model
 from doojax.simulation.layout import Layout
 from doojax.simulation.rope import RopeModel, RopeParameters

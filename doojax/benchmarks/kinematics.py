@@ -22,7 +22,8 @@ from jaxtyping import Array, Bool, Float
 from doojax.benchmarks.medians import median_row
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
-from doojax.experiments.reports import Row, publish_rows, row, show
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.keys import generator, numbered, stream
 from doojax.robots import DUAL_ARM, IkSettings, Robot, dual_arm, solve_poses, tool_poses
 from doojax.robots.inverse import starts_around

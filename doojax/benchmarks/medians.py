@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from doojax.experiments.reports import Row, row
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import row
 
 
 def median_with_interval(samples: Float[np.ndarray, "n"]) -> tuple[float, float, float]:

@@ -21,7 +21,8 @@ from rich.console import Console
 from doojax.benchmarks.medians import median_row
 from doojax.benchmarks.rack import FLOOR, MujocoCheck, rack
 from doojax.commands import command_line
-from doojax.experiments.reports import Row, publish_rows, row, show
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.keys import numbered, stream
 from doojax.parts import in_parts
 from doojax.planning.joint_motion import MotionPlan, MotionPlanner, MotionSettings, plan_motions

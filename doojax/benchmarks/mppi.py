@@ -19,8 +19,9 @@ from rich.console import Console
 from doojax.benchmarks.arms import command_rows
 from doojax.benchmarks.medians import median_row
 from doojax.commands import command_line
-from doojax.experiments.reports import Row, publish_rows, row, show
-from doojax.experiments.statistics import bootstrap
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.statistics import bootstrap
+from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.keys import generator, numbered, stream
 from doojax.planning import Mppi, MppiSettings, rolled_out
 from doojax.planning.costs import summed

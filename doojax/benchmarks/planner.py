@@ -26,11 +26,12 @@ from rich.table import Table
 
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
-from doojax.experiments.methods import find_models, make_method, needed_models, pretrained_models
-from doojax.experiments.provenance import digests
-from doojax.experiments.reports import Row, publish_rows, row
-from doojax.experiments.scenes import draw_scenes
-from doojax.experiments.statistics import bootstrap
+from doojax.experiments.reports.provenance import digests
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.statistics import bootstrap
+from doojax.experiments.reports.summary import publish_rows, row
+from doojax.experiments.trials.methods import find_models, make_method, needed_models, pretrained_models
+from doojax.experiments.trials.scenes import draw_scenes
 from doojax.keys import generator, numbered, stream
 from doojax.models import CollisionChecker
 from doojax.planning import Goal, Problem, Rrt, RrtSettings, search

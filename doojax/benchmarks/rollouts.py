@@ -20,7 +20,7 @@ import numpy as np
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.datasets.collect import random_trajectories
-from doojax.experiments.reports import publish_rows, row, show
+from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.keys import numbered, stream
 from doojax.parts import processors
 from doojax.simulation.engines import available_engines, resolve_engine

@@ -30,7 +30,8 @@ from doojax import topology
 from doojax.benchmarks.medians import median_with_interval
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
-from doojax.experiments.reports import Row, publish_rows, row
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import publish_rows, row
 from doojax.keys import stream
 from doojax.topology.describe import THREADING, Scene, read_scene
 

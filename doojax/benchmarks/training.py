@@ -20,7 +20,8 @@ from jaxtyping import Array
 from doojax.benchmarks.medians import median_row
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
-from doojax.experiments.reports import Row, publish_rows, show
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import publish_rows, show
 from doojax.keys import stream
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import FitConfig, epoch, start

@@ -10,7 +10,8 @@ import tyro
 from rich.console import Console
 
 from doojax.datasets import Dataset
-from doojax.experiments.records import TrialRecord, load_record
+from doojax.experiments.trials.record_files import load_record
+from doojax.experiments.trials.records import TrialRecord
 from doojax.learning.runs import RunDirectory
 from doojax.viewer.dataset_page import DatasetPage
 from doojax.viewer.listing import find_items, is_dataset, is_run, kind_of, require_inside

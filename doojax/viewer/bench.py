@@ -15,8 +15,9 @@ from jaxtyping import Float
 
 from doojax.benchmarks.medians import median_row
 from doojax.commands import command_line
-from doojax.experiments.records import save_record
-from doojax.experiments.reports import Row, publish_rows, row, show
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import publish_rows, row, show
+from doojax.experiments.trials.record_files import save_record
 from doojax.viewer import colours
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from doojax.datasets import Dataset
-from doojax.experiments.records import Look, PredictionRecord, TrialRecord
+from doojax.experiments.trials.records import Look, PredictionRecord, TrialRecord
 from doojax.tasks import TASKS, make_task
 from doojax.types import Obstacles, ShapeKind
 from doojax.viewer import shapes

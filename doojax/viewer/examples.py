@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
 from doojax.datasets import DatasetWriter, Field
-from doojax.experiments.records import Event, Grid, Look, PlanRecord, PredictionRecord, TrialRecord
+from doojax.experiments.trials.records import Event, Grid, Look, PlanRecord, PredictionRecord, TrialRecord
 from doojax.geometry import signed_distance
 from doojax.types import Obstacles, ShapeKind
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from doojax.datasets import Dataset
 from doojax.experiments.drawing import Drawing
-from doojax.experiments.records import PredictionRecord, TrialRecord, body_of
+from doojax.experiments.trials.records import PredictionRecord, TrialRecord, body_of
 from doojax.viewer import colours
 from doojax.viewer.episodes import episode, episode_of, title
 from doojax.viewer.show import plan_at, show_episode, show_execution, show_plan, show_prediction

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from doojax.experiments.records import PredictionRecord
+from doojax.experiments.trials.records import PredictionRecord
 from doojax.viewer import colours
 from doojax.viewer.episodes import episode_of
 from doojax.viewer.page import Page

@@ -7,7 +7,8 @@ from PIL import Image
 from rich.console import Console
 
 from doojax.datasets import Dataset
-from doojax.experiments.records import TrialRecord, load_record
+from doojax.experiments.trials.record_files import load_record
+from doojax.experiments.trials.records import TrialRecord
 from doojax.viewer.episodes import require_rope
 from doojax.viewer.films import Film, film_of_prediction, film_of_trajectory, film_of_trial
 from doojax.viewer.pictures import animate, contact_sheet, frames

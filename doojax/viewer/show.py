@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from doojax.experiments.drawing import Colour, Drawing
-from doojax.experiments.records import Look, PlanRecord, PredictionRecord, TrialRecord, body_of
+from doojax.experiments.trials.records import Look, PlanRecord, PredictionRecord, TrialRecord, body_of
 from doojax.viewer import colours
 from doojax.viewer.episodes import Episode
 from doojax.viewer.shapes import extended, smooth

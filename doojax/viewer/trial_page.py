@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from doojax.experiments.records import PlanRecord, TrialRecord
+from doojax.experiments.trials.records import PlanRecord, TrialRecord
 from doojax.viewer import colours
 from doojax.viewer.films import film_of_trial
 from doojax.viewer.page import Page

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from doojax.benchmarks import classifiers as bench
-from doojax.experiments.reports import read_summary
+from doojax.experiments.reports.summary import read_summary
 from doojax.keys import stream
 from doojax.learning.presets import classifier_preset
 from doojax.models.classifier import DistanceClassifier

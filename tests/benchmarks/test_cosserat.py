@@ -11,7 +11,7 @@ from cosseratbench.scenario import Cylinder
 
 from doojax.benchmarks import cosserat as bench
 from doojax.benchmarks.cosserat import DoojaxSolver
-from doojax.experiments.reports import read_summary
+from doojax.experiments.reports.summary import read_summary
 
 SOFT = Material(youngs_modulus=1e6, shear_modulus=3e5, density=1000.0)
 FREE = Rod(((0.0, 0.0, 1.0), (0.4, 0.0, 1.0)), radius=0.01, material=SOFT)

@@ -24,7 +24,7 @@ from doojax.benchmarks.physics.fall import fall
 from doojax.benchmarks.physics.friction import lying, pushed
 from doojax.benchmarks.physics.statics import twists
 from doojax.benchmarks.physics.swing import hanging
-from doojax.experiments.reports import read_summary
+from doojax.experiments.reports.summary import read_summary
 from doojax.types import RopeState, Trajectory
 from tests.simulation.test_equivalence import needs_warp
 

@@ -9,7 +9,7 @@ import pytest
 
 from doojax.benchmarks import training as bench
 from doojax.benchmarks.flax_peer import peer_state, peer_step
-from doojax.experiments.reports import read_summary
+from doojax.experiments.reports.summary import read_summary
 from doojax.learning.fit import FitConfig, epoch, start
 from doojax.learning.losses import DynamicsProblem
 from doojax.learning.presets import dynamics_preset

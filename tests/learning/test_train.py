@@ -11,10 +11,10 @@ import pytest
 from doojax import files
 from doojax.commands import parsed
 from doojax.datasets.collect import collect
-from doojax.experiments.evaluate_model import evaluate_model
-from doojax.experiments.provenance import digest, noted_commands
-from doojax.experiments.reports import read_summary
-from doojax.experiments.train import train
+from doojax.experiments.reports.provenance import digest, noted_commands
+from doojax.experiments.reports.summary import read_summary
+from doojax.experiments.training.evaluate import evaluate_model
+from doojax.experiments.training.train import train
 from doojax.learning.checkpoints import load_model
 from doojax.learning.runs import RunDirectory
 from doojax.learning.train import train_dynamics

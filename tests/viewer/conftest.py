@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from doojax.experiments.records import save_record
+from doojax.experiments.trials.record_files import save_record
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
 from doojax.viewer.examples import prediction_record, trial_record, write_dataset

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.colors import rgb_to_hsv
 
 from doojax.datasets import Dataset
-from doojax.experiments.records import load_record, save_record
+from doojax.experiments.trials.record_files import load_record, save_record
 from doojax.viewer.examples import trial_record
 
 HUES = {"orange": (8, 40), "violet": (250, 310), "green": (150, 185), "blue": (190, 225), "yellow": (44, 56)}

@@ -10,7 +10,7 @@ from imageio import v3 as imageio
 from imageio_ffmpeg import get_ffmpeg_exe
 
 from doojax.datasets import Dataset
-from doojax.experiments.records import PlanRecord
+from doojax.experiments.trials.records import PlanRecord
 from doojax.viewer import colours
 from doojax.viewer.columns import Columns, select
 from doojax.viewer.examples import write_dataset

@@ -19,7 +19,7 @@ from doojax.benchmarks.physics.friction import friction
 from doojax.benchmarks.physics.statics import cantilevers, catenaries, clamped_scene, holding, twists
 from doojax.benchmarks.physics.swing import swing
 from doojax.commands import command_line
-from doojax.experiments.reports import publish_rows, show
+from doojax.experiments.reports.summary import publish_rows, show
 from doojax.simulation.engines import resolve_engine
 
 __all__ = ["clamped_scene", "physics"]

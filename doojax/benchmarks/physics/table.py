@@ -7,7 +7,8 @@ from rich.console import Console
 from rich.table import Table
 
 from doojax.benchmarks.physics.cases import Finding
-from doojax.experiments.reports import Row, row
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.summary import row
 
 SHOWN_APART = ("engine", "task", "settings")
 

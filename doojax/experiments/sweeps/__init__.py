@@ -1,0 +1,1 @@
+"""Studies of one setting, of many models each."""

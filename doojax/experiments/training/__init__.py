@@ -1,0 +1,1 @@
+"""Models: how they are trained and how good they are."""

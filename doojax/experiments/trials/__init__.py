@@ -1,0 +1,1 @@
+"""Plans and trials: planning, executing, recovering, on shared scenes, and their records."""

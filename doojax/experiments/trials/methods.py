@@ -1,0 +1,152 @@
+"""The methods of chapter II by name: which dynamics, judged by what, recovering how."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from doojax.experiments.trials.trial import Method
+from doojax.learning.checkpoints import Header
+from doojax.models import Always, CollisionChecker, Stricter
+from doojax.planning import simulated, simulated_start
+from doojax.planning.recovery import RandomRecovery
+from doojax.simulation.state import Simulator
+from doojax.tasks.base import Task
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a method is made of: kinds of learned models, or the names of what is not learned."""
+
+    dynamics: str
+    reliability: str = "always"
+    recovery: str | None = None
+
+
+RECIPES: Mapping[str, Recipe] = {
+    "classifier": Recipe("dynamics", "classifier"),
+    "voxel_classifier": Recipe("dynamics", "voxel_classifier"),
+    "no_classifier": Recipe("dynamics"),
+    "collision_checker": Recipe("dynamics", "collision_checker"),
+    "full_dynamics": Recipe("full_dynamics"),
+    "learned_recovery": Recipe("dynamics", "classifier", "recovery"),
+    "random_recovery": Recipe("dynamics", "classifier", "random"),
+    "oracle": Recipe("simulator"),
+}
+PRETRAINED = Path(__file__).parents[1] / "pretrained"
+NOT_LEARNED = {"simulator", "always", "collision_checker", "random", None}
+
+
+def find_models(folder: Path | None, task: str) -> dict[str, Path]:
+    """The files of models in a folder and the folders in it, by kind.
+
+    Raises:
+        FileNotFoundError: there is no such folder.
+        ValueError: two models are of one kind, or one is of another task.
+    """
+    if folder is None:
+        return {}
+    from doojax.learning.checkpoints import read_header
+
+    found: dict[str, Path] = {}
+    if not folder.is_dir():
+        raise FileNotFoundError(f"there is no folder of models {folder}")
+    for path in sorted([*folder.glob("*.eqx"), *folder.glob("*/model.eqx")]):
+        header, _ = read_header(path)
+        if header.task != task:
+            raise ValueError(f"{path} was trained for the task {header.task!r}, not for {task!r}")
+        if header.kind in found:
+            raise ValueError(f"{found[header.kind]} and {path} are both of kind {header.kind!r}: keep one")
+        found[header.kind] = path
+    return found
+
+
+def pretrained_models(task: str) -> dict[str, Path]:
+    """The models that come with doojax, by kind; none for some tasks."""
+    folder = PRETRAINED / task
+    return find_models(folder, task) if folder.is_dir() else {}
+
+
+def needed_models(name: str, models: Mapping[str, Path]) -> dict[str, Path]:
+    """The models that a method needs, by kind, of those that there are.
+
+    Without any, the dynamics are the simulator's own without obstacles: unconstrained, and exact.
+
+    Raises:
+        ValueError: for an unknown method, or one whose models are missing.
+    """
+    if name not in RECIPES:
+        raise ValueError(f"unknown method {name!r}, expected one of {', '.join(RECIPES)}")
+    recipe = RECIPES[name]
+    kinds = {recipe.dynamics, recipe.reliability, recipe.recovery} - NOT_LEARNED
+    if not models:
+        kinds -= {"dynamics"}
+    missing = sorted(kind for kind in kinds if kind and kind not in models)
+    if missing:
+        there = ", ".join(models) or "none"
+        raise ValueError(
+            f"method {name!r} needs models of kind {', '.join(missing)}; there are: {there}. Train them with "
+            "doojax train, and name their folder by --models"
+        )
+    return {kind: models[kind] for kind in sorted(k for k in kinds if k)}
+
+
+def make_method(
+    name: str, task: Task, simulator: Simulator, models: Mapping[str, Path], accept: str | None = None
+) -> Method:
+    """The method called ``name``.
+
+    Args:
+        name: one of `RECIPES`.
+        task: what is to be done.
+        simulator: the dynamics of methods without learned ones.
+        models: files by kind.
+        accept: what a classifier must say for a transition to be accepted: "conformal:ALPHA", above the
+            threshold at which at most the fraction ALPHA of accepted transitions was to be wrong; by default
+            more likely right than wrong. Methods without a classifier do not look at it.
+
+    Raises:
+        ValueError: as `needed_models`, and for a rate for which the classifier has no threshold.
+    """
+    from doojax.learning.checkpoints import load_model
+
+    needed, recipe = needed_models(name, models), RECIPES[name]
+    errors: dict[str, Any] = {}
+
+    def loaded(kind: str) -> Any:
+        model, header = load_model(needed[kind], task=task.name, kind=kind)
+        errors[kind] = header.about.get("threshold_m")
+        if accept is not None and kind == recipe.reliability:
+            return Stricter(model, conformal_limit(accept, header, needed[kind]))
+        return model
+
+    made: dict[str, Any] = {"begin": simulated_start} if recipe.dynamics == "simulator" else {}
+    if recipe.dynamics in needed:
+        dynamics = loaded(recipe.dynamics)
+    else:
+        dynamics = simulated(simulator)
+        made.setdefault("begin", partial(simulated_start, without_obstacles=True))
+    unlearned = {"always": Always, "collision_checker": CollisionChecker, "random": RandomRecovery}
+
+    def judge(kind: str) -> Any:
+        return unlearned[kind]() if kind in unlearned else loaded(kind)
+
+    recovery = judge(recipe.recovery) if recipe.recovery else None
+    judging = judge(recipe.reliability)
+    made["error_threshold_m"] = errors.get(recipe.reliability) or errors.get(recipe.dynamics)
+    return Method(name, dynamics, judging, recovery, **made)
+
+
+def conformal_limit(accept: str, header: Header, path: Path) -> float:
+    """The threshold that a classifier's header has for "conformal:ALPHA".
+
+    Raises:
+        ValueError: for another text, or a rate for which there is none; the message lists those there are.
+    """
+    safe = header.about.get("conformal_thresholds", {})
+    kind, _, alpha = accept.partition(":")
+    there = ", ".join(f"conformal:{rate}" for rate in safe) or "none"
+    if kind != "conformal" or alpha not in safe:
+        raise ValueError(f"accept is {accept!r}, expected one of those that {path} has: {there}")
+    return float(safe[alpha])
