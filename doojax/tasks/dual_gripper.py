@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from doojax.actions import first_valid
-from doojax.geometry.frames import exact_product, quaternion_from_yaw
+from doojax.geometry.frames import exact_product
 from doojax.geometry.sdf import signed_distance
 from doojax.goals import Goal
 from doojax.simulation.rope import RopeModel, RopeParameters
@@ -182,16 +182,13 @@ def _place_rope(reach: Box, key: Array, points: Float[Array, "P 3"]) -> tuple[Ar
 
 def _placements(crowd: int):
     """The table where it stands, boxes and hooks anywhere on it at any yaw."""
+    from doojax.tasks.starts import Placements
 
-    def table(key):
-        return jnp.array([0.8, 0.0, TABLE_TOP - 0.06]), jnp.array([1.0, 0.0, 0.0, 0.0])
-
-    def on_table(height, key):
-        position_key, yaw_key = jax.random.split(key)
-        low, high = jnp.array([0.6, -0.45]), jnp.array([1.0, 0.45])
-        x, y = jax.random.uniform(position_key, (2,), minval=low, maxval=high)
-        yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
-        return jnp.stack([x, y, jnp.array(TABLE_TOP + height / 2)]), quaternion_from_yaw(yaw)
-
-    heights = [size[2] for size in BOXES] + [0.18, 0.28]
-    return (table, *(partial(on_table, height) for height in heights * crowd))
+    heights = ([size[2] for size in BOXES] + [0.18, 0.28]) * crowd
+    table = (0.8, 0.0, TABLE_TOP - 0.06)
+    above = [TABLE_TOP + height / 2 for height in heights]
+    return Placements(
+        low=jnp.array([table, *((0.6, -0.45, z) for z in above)]),
+        high=jnp.array([table, *((1.0, 0.45, z) for z in above)]),
+        yaw=jnp.array([(0.0, 0.0), *[(-jnp.pi, jnp.pi)] * len(heights)]),
+    )

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from doojax.actions import first_valid
-from doojax.geometry.frames import quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
 from doojax.goals import Goal
 from doojax.simulation.rope import RopeModel, RopeParameters
@@ -147,19 +146,13 @@ def _place_rope(extent: float, key: Array, points: Float[Array, "P 3"]) -> tuple
 
 def _placements(crowd: int):
     """Cubes and corners anywhere on the floor at any yaw; walls where they stand."""
+    from doojax.tasks.starts import Placements
 
-    def on_floor(height, key):
-        position_key, yaw_key = jax.random.split(key)
-        x, y = jax.random.uniform(position_key, (2,), minval=-0.8, maxval=0.8)
-        yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
-        return jnp.stack([x, y, jnp.array(height)]), quaternion_from_yaw(yaw)
-
-    def wall(angle, key):
-        centre = ARENA * np.array([np.cos(angle), np.sin(angle), 0.0]) + [0, 0, WALL_HEIGHT]
-        return jnp.array(centre, dtype=jnp.float32), quaternion_from_yaw(jnp.array(angle + np.pi))
-
-    return (
-        *(partial(on_floor, CUBE) for _ in range(CUBES * crowd)),
-        *(partial(on_floor, CORNER_HEIGHT) for _ in range(CORNERS * crowd)),
-        *(partial(wall, angle) for angle in (0.0, np.pi / 2, np.pi, 3 * np.pi / 2)),
+    heights = [CUBE] * (CUBES * crowd) + [CORNER_HEIGHT] * (CORNERS * crowd)
+    angles = np.array([0.0, np.pi / 2, np.pi, 3 * np.pi / 2])
+    walls = [(ARENA * np.cos(angle), ARENA * np.sin(angle), WALL_HEIGHT) for angle in angles]
+    return Placements(
+        low=jnp.array([*((-0.8, -0.8, height) for height in heights), *walls]),
+        high=jnp.array([*((0.8, 0.8, height) for height in heights), *walls]),
+        yaw=jnp.array([*[(-np.pi, np.pi)] * len(heights), *((a + np.pi, a + np.pi) for a in angles)]),
     )

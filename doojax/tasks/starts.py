@@ -18,14 +18,27 @@ from doojax.geometry.sdf import signed_distance
 from doojax.modules import Jittable
 from doojax.simulation.layout import moved as moved_parts
 from doojax.simulation.parts import Turn
-from doojax.simulation.scenes import Scene, obstacles_at, parked_poses
+from doojax.simulation.scenes import Scene, Shape, parked_poses
 from doojax.simulation.state import Fault, SimState, at_rest
+from doojax.types import Obstacles, ShapeKind
 
 CLEARANCE = 0.01  # m between the rope or a gripper and any obstacle at the start
 PLACEMENTS = 64  # tried for each obstacle
 
-Placement = Callable[[Array], tuple[Float[Array, "3"], Float[Array, "4"]]]
-"""Draws an obstacle's position (m) and quaternion (w, x, y, z) from a key."""
+
+class Placements(eqx.Module):
+    """Where each of B obstacles may stand: anywhere in a box, turned by any of a range of angles about z."""
+
+    low: Float[Array, "B 3"]  # of positions, world frame, m
+    high: Float[Array, "B 3"]
+    yaw: Float[Array, "B 2"]  # least and greatest, rad
+
+    def draw(self, key: Array) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+        """A position (m) and quaternion (w, x, y, z) of one obstacle, whose row these ranges are."""
+        position_key, yaw_key = jax.random.split(key)
+        place = jax.random.uniform(position_key, (2,), minval=self.low[:2], maxval=self.high[:2])
+        yaw = jax.random.uniform(yaw_key, minval=self.yaw[0], maxval=self.yaw[1])
+        return jnp.append(place, self.low[2]), quaternion_from_yaw(yaw)
 
 
 class RopeBank(eqx.Module):
@@ -42,7 +55,7 @@ class RandomStart(Jittable):
     bank: RopeBank
     scene: Scene = eqx.field(static=True)
     place_rope: Callable = eqx.field(static=True)  # (key, points [P, 3]) -> translation [3], yaw []
-    placements: tuple[Placement, ...] | None = eqx.field(static=True)  # None: all obstacles parked
+    placements: Placements | None  # None: all obstacles parked
 
     def __call__(self, key: Array) -> SimState:
         """A start; `Fault.SCENE_OVERFULL` where an obstacle found no room and stays parked."""
@@ -59,25 +72,52 @@ class RandomStart(Jittable):
         return replace(start, faults=jnp.where(overfull, int(Fault.SCENE_OVERFULL), 0))
 
     def _place_obstacles(
-        self, placements: tuple[Placement, ...], key: Array, points: Float[Array, "P 3"]
+        self, placements: Placements, key: Array, points: Float[Array, "P 3"]
     ) -> tuple[Float[Array, "B 3"], Float[Array, "B 4"], Bool[Array, ""]]:
-        positions, quaternions, placed = [], [], []
-        parked_position, parked_quaternion = parked_poses(1)
-        keys = jax.random.split(key, len(self.scene.obstacles))
-        for obstacle, placement, own_key in zip(self.scene.obstacles, placements, keys, strict=True):
-            alone = replace(self.scene, obstacles=(obstacle,))
+        parked_position, parked_quaternion = (one[0] for one in parked_poses(1))
 
-            def clear(position, quaternion, alone=alone):
-                body = obstacles_at(alone, position[None], quaternion[None])
-                return (signed_distance(body, points) - self.bank.radius).min() > CLEARANCE
+        def place(given: tuple[Array, Placements, Obstacles]) -> tuple[Array, Array, Array]:
+            own_key, ranges, shapes = given
+            position, quaternion = jax.vmap(ranges.draw)(jax.random.split(own_key, PLACEMENTS))
 
-            position, quaternion = jax.vmap(placement)(jax.random.split(own_key, PLACEMENTS))
+            def clear(position, quaternion):
+                there = replace(
+                    shapes,
+                    centre=position + rotate(quaternion, shapes.centre),
+                    quaternion=jnp.broadcast_to(quaternion, shapes.quaternion.shape),
+                )
+                return (signed_distance(there, points) - self.bank.radius).min() > CLEARANCE
+
             accepted = jax.vmap(clear)(position, quaternion)
-            first = jnp.argmax(accepted)
-            positions.append(jnp.where(accepted.any(), position[first], parked_position[0]))
-            quaternions.append(jnp.where(accepted.any(), quaternion[first], parked_quaternion[0]))
-            placed.append(accepted.any())
-        return jnp.stack(positions), jnp.stack(quaternions), ~jnp.stack(placed).all()
+            first, any_is = jnp.argmax(accepted), accepted.any()
+            return (
+                jnp.where(any_is, position[first], parked_position),
+                jnp.where(any_is, quaternion[first], parked_quaternion),
+                any_is,
+            )
+
+        # one after the other, because what is compiled is then one obstacle's
+        keys = jax.random.split(key, len(self.scene.obstacles))
+        positions, quaternions, placed = jax.lax.map(place, (keys, placements, shapes_of(self.scene)))
+        return positions, quaternions, ~placed.all()
+
+
+def shapes_of(scene: Scene) -> Obstacles:
+    """The shapes of each of the scene's B obstacles in its own frame, fields ``[B, S, ...]``.
+
+    What has fewer shapes than the S of that which has most is filled up with inactive ones.
+    """
+    most = max(len(obstacle.shapes) for obstacle in scene.obstacles)
+    blank = Shape(ShapeKind.BOX, (1.0, 1.0, 1.0))
+    rows = [(*one.shapes, *[blank] * (most - len(one.shapes))) for one in scene.obstacles]
+    lengths = np.array([len(one.shapes) for one in scene.obstacles])
+    return Obstacles(
+        kind=jnp.array([[int(shape.kind) for shape in row] for row in rows], jnp.int32),
+        centre=jnp.array([[shape.offset for shape in row] for row in rows], jnp.float32),
+        quaternion=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (len(rows), most, 1)),
+        half_size=jnp.array([[shape.half_size for shape in row] for row in rows], jnp.float32),
+        active=jnp.asarray(np.arange(most) < lengths[:, None]),
+    )
 
 
 def moved(

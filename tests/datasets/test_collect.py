@@ -91,14 +91,11 @@ def test_an_overfull_scene_says_so():
     task = RopeDragging()
     start = task.start()
 
-    def on_the_rope(key):
-        return jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0])
-
     crowded = RandomStart(
         start.bank,
         scene=task.scene,
         place_rope=lambda key, points: (-points.mean(0).at[2].set(0.0), jnp.array(0.0)),
-        placements=(on_the_rope, *start.placements[1:]),
+        placements=jax.tree.map(lambda leaf: leaf.at[0].set(0.0), start.placements),  # on the rope
     )
     state = crowded(jax.random.key(0))
     assert int(state.faults) == int(Fault.SCENE_OVERFULL)
