@@ -117,6 +117,12 @@ class DualGripper(RopeTask):
 
     @cached_property
     def _bank(self):
+        from doojax.tasks.banks import bank_of
+
+        return bank_of(self.scene, self.settled)
+
+    def settled(self):
+        """Ropes of the task's scene, simulated until they rest."""
         from doojax.tasks.starts import settle_bank, straight_qpos
 
         # from taut and straight, bring the ends together to a gap of 0.15 to 0.70 m, then let the rope settle

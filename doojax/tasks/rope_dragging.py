@@ -88,6 +88,12 @@ class RopeDragging(RopeTask):
 
     @cached_property
     def _bank(self):
+        from doojax.tasks.banks import bank_of
+
+        return bank_of(self.scene, self.settled)
+
+    def settled(self):
+        """Ropes of the task's scene, simulated until they rest."""
         from doojax.tasks.starts import settle_bank, straight_qpos
 
         rng = np.random.default_rng(0)
