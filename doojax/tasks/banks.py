@@ -46,15 +46,15 @@ def digest(scene: Scene) -> str:
 def save(scene: Scene, bank: "RopeBank") -> None:
     """Write the file of a scene's name."""
     header = np.frombuffer(json.dumps({"scene": digest(scene)}).encode(), np.uint8)
-    arrays = {name: np.asarray(getattr(bank, name)) for name in FIELDS}
+    arrays = {"header": header, **{name: np.asarray(getattr(bank, name)) for name in FIELDS}}
     FOLDER.mkdir(exist_ok=True)
     with whole_file(FOLDER / f"{scene.name}.npz") as file:
-        np.savez_compressed(file, header=header, **arrays)
+        np.savez_compressed(file, **arrays)
 
 
 if __name__ == "__main__":
-    from doojax.tasks import make_task
+    from doojax.tasks.dual_gripper import DualGripper
+    from doojax.tasks.rope_dragging import RopeDragging
 
-    for name in ("rope_dragging", "dual_gripper"):
-        task = make_task(name)
+    for task in (RopeDragging(), DualGripper()):
         save(task.scene, task.settled())
