@@ -69,6 +69,10 @@ COMMANDS: Commands = {
         "doojax.experiments.sweeps.augmentation:augmentation_study",
         "train with and without augmentation where data are few, and compare",
     ),
+    "adaptation-study": (
+        "doojax.experiments.sweeps.adaptation:adaptation_study",
+        "adapt dynamics from one rope to another among obstacles, and compare methods",
+    ),
     "evaluate-model": (
         "doojax.experiments.training.evaluate:evaluate_model",
         "measure a trained model on data that it has not seen",

@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 
@@ -29,6 +30,26 @@ class Buffer(eqx.Module):
             raise ValueError(f"capacity is {capacity}, expected at least 1")
         empty = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape[1:]), leaf.dtype), examples)
         return cls(empty, jnp.zeros(capacity), jnp.zeros((), jnp.int32))
+
+    @classmethod
+    def of(cls, examples: Any, capacity: int | None = None) -> "Buffer":
+        """One that holds n examples of weight one, n at least 1, in so many places; by default in n.
+
+        Raises:
+            ValueError: for no examples, or more than there are places.
+        """
+        count = len(jax.tree.leaves(examples)[0])
+        places = count if capacity is None else capacity
+        if not 1 <= count <= places:
+            raise ValueError(f"there are {count} examples for {places} places, expected 1 to {places}")
+
+        def padded(leaf: Array) -> Array:  # in numpy, which compiles nothing for another number of them
+            held = np.asarray(leaf)
+            empty = np.zeros((places - count, *held.shape[1:]), held.dtype)
+            return jnp.asarray(np.concatenate([held, empty]))
+
+        weight = jnp.asarray((np.arange(places) < count).astype(np.float32))
+        return cls(jax.tree.map(padded, examples), weight.astype(float), jnp.asarray(count, jnp.int32))
 
     @property
     def capacity(self) -> int:

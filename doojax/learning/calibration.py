@@ -6,6 +6,8 @@ from scipy.optimize import minimize
 
 from doojax.models.calibration import Calibration
 
+SMALLEST = 1e-6  # m, below which a deviation counts as none
+
 
 def fit_calibration(logits: Float[np.ndarray, "n"], right: Bool[np.ndarray, "n"]) -> Calibration:
     """The scale and the shift that make the probabilities most likely (Platt 1999), never turning them round.
@@ -78,3 +80,56 @@ def conformal_threshold(
     last = int(np.flatnonzero(keeps)[-1])
     below = ranked[last + 1] if last + 1 < len(ranked) else ranked[last] - 1.0
     return float((ranked[last] + below) / 2)
+
+
+def fit_power(predicted: Float[np.ndarray, "n"], true: Float[np.ndarray, "n"]) -> tuple[float, float]:
+    """Power, not negative, and shift by which log true = shift + power log predicted, by least squares.
+
+    So predictions come to be right in their geometric mean, at small and at large values; both m.
+
+    Raises:
+        ValueError: for no values.
+    """
+    if not len(predicted):
+        raise ValueError("there are no examples to calibrate with")
+    x, y = (np.log(np.asarray(values, float) + SMALLEST) for values in (predicted, true))
+    spread = x.var()
+    power = max(((x - x.mean()) * (y - y.mean())).mean() / spread, 0.0) if spread > 0 else 1.0
+    return float(power), float(y.mean() - power * x.mean())
+
+
+def conformal_factor(
+    predicted: Float[np.ndarray, "n"],
+    true: Float[np.ndarray, "n"],
+    alpha: float,
+    trajectory: Int[np.ndarray, "n"],
+) -> float:
+    """The least factor so that predicted values times it are upper bounds but for a fraction ``alpha``.
+
+    Transitions of one trajectory are alike; only the K trajectories are exchangeable. So the factor is the
+    least for which (1 + sum over trajectories of the fraction of each that exceeds its bound) / (K + 1) is at
+    most alpha: conformal risk control (Angelopoulos et al. 2024). The promise is kept on average over sets of
+    trajectories, for a transition of a trajectory drawn as these were: a planner chooses its own.
+
+    Args:
+        predicted: positive, of n transitions.
+        true: what became of them.
+        alpha: the rate.
+        trajectory: numbers of their trajectories.
+
+    Returns:
+        the factor; infinite where no factor keeps the promise: accept nothing.
+
+    Raises:
+        ValueError: alpha is not between 0 and 1.
+    """
+    if not 0 < alpha < 1:
+        raise ValueError(f"alpha is {alpha}, expected a rate between 0 and 1")
+    _, index, sizes = np.unique(trajectory, return_inverse=True, return_counts=True)
+    ratio = true / np.maximum(predicted, SMALLEST)
+    order = np.argsort(-ratio, kind="stable")
+    exceed = np.cumsum(1 / sizes[index[order]])
+    # a factor equal to the k-th greatest ratio leaves those above it, k - 1 of them, exceeding
+    risk = (1 + np.concatenate([[0.0], exceed[:-1]])) / (len(sizes) + 1)
+    keeps = np.flatnonzero(risk <= alpha)
+    return float(ratio[order[keeps[-1]]]) if keeps.size else float("inf")

@@ -29,6 +29,7 @@ ABOUT: dict[str, Any] = {
     "seed": int,
     "labels": dict[str, Any],
     "conformal_thresholds": dict[str, float],
+    "conformal_factors": dict[str, float],
 }
 
 

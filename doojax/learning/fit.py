@@ -10,7 +10,7 @@ and on a `doojax.learning.buffer.Buffer` of a fixed size, so that only the first
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -36,6 +36,7 @@ class FitConfig:
     learning_rate: float = 1e-3  # of Adam
     schedule: Literal["constant", "cosine"] = "cosine"  # cosine: down to zero at the end of the last epoch
     patience: int = 0  # stop when no member's validation loss fell for so many epochs; 0: never
+    keep: Literal["best", "last"] = "best"  # which epoch's weights: of the least validation loss, or the last
     checkpoint_every: int = 1  # epochs
 
     def __post_init__(self):
@@ -77,6 +78,22 @@ class Problem(Protocol):
         ...
 
 
+class Progress(NamedTuple):
+    """How far training has come, of one member or of E with a leading axis."""
+
+    steps: Int[Array, "*E"]  # of the optimiser
+    examples: Int[Array, "*E"]  # seen so far, each as often as it was
+
+
+@runtime_checkable
+class Scheduled(Protocol):
+    """A `Problem` whose loss changes as training goes on."""
+
+    def after(self, progress: Progress) -> Problem:
+        """The problem as it is for a member that has come so far; its arrays have the same shapes."""
+        ...
+
+
 class FitState(eqx.Module):
     """All that training needs to go on, of one member or of E with a leading axis."""
 
@@ -85,6 +102,7 @@ class FitState(eqx.Module):
     best: PyTree  # the weights of the best epoch so far
     best_loss: Float[Array, "*E"]  # on the validation split
     stale: Int[Array, "*E"]  # epochs since the best
+    progress: Progress
 
 
 def fit(
@@ -100,7 +118,7 @@ def fit(
     """Train, and return the model with each member's best weights; its arrays have a leading axis E.
 
     Args:
-        problem: what to learn.
+        problem: what to learn; one that is `Scheduled` is told before each step how far training has come.
         config: how.
         seed: of everything that is random.
         run: where checkpoints and metrics go, and from where an interrupted run goes on; None: nowhere.
@@ -162,6 +180,7 @@ def start(
         best=jax.tree.map(jnp.copy, weights),
         best_loss=jnp.full(config.members, jnp.inf, dtype=float),  # not weakly typed: compiled once
         stale=jnp.zeros(config.members, dtype=jnp.int32),
+        progress=Progress(*(jnp.zeros(config.members, dtype=jnp.int32) for _ in Progress._fields)),
     )
     return state, static
 
@@ -186,24 +205,27 @@ def epoch(
         rows = problem.batches(member, config.batch_size, key=key)
         optimiser = config.optimiser(rows.shape[0])
 
-        def loss(weights: PyTree, batch: Int[Array, "batch"]) -> Float[Array, ""]:
-            return problem.loss(eqx.combine(weights, static), batch, member)
+        def loss(weights: PyTree, batch: Int[Array, "batch"], progress: Progress) -> Float[Array, ""]:
+            return now(problem, progress).loss(eqx.combine(weights, static), batch, member)
 
-        def step(carry: tuple[PyTree, PyTree], batch: Array):
-            weights, memory = carry
-            value, gradient = jax.value_and_grad(loss)(weights, batch)
+        def step(carry: tuple[PyTree, PyTree, Progress], batch: Array):
+            weights, memory, progress = carry
+            value, gradient = jax.value_and_grad(loss)(weights, batch, progress)
             change, memory = optimiser.update(gradient, memory)
-            return (optax.apply_updates(weights, change), memory), value
+            progress = Progress(progress.steps + 1, progress.examples + batch.shape[0])
+            return (optax.apply_updates(weights, change), memory, progress), value
 
-        (weights, memory), losses = jax.lax.scan(step, (state.weights, state.optimiser), rows)
-        measured = problem.validate(eqx.combine(weights, static), member)
-        better = measured["loss"] < state.best_loss
+        before = (state.weights, state.optimiser, state.progress)
+        (weights, memory, progress), losses = jax.lax.scan(step, before, rows)
+        measured = now(problem, progress).validate(eqx.combine(weights, static), member)
+        better = (measured["loss"] < state.best_loss) | (config.keep == "last")
         after = FitState(
             weights=weights,
             optimiser=memory,
             best=jax.tree.map(lambda new, old: jnp.where(better, new, old), weights, state.best),
             best_loss=jnp.where(better, measured["loss"], state.best_loss),
             stale=jnp.where(better, 0, state.stale + 1),
+            progress=progress,
         )
         named = {f"validation_{name}": value for name, value in measured.items()}
         return after, {"train_loss": losses.mean(), **named}
@@ -211,6 +233,11 @@ def epoch(
     if jax.default_backend() == "cpu":
         return jax.lax.map(one, (state, members, keys))
     return jax.vmap(one)((state, members, keys))
+
+
+def now(problem: Problem, progress: Progress) -> Problem:
+    """The problem as it is after so much training."""
+    return problem.after(progress) if isinstance(problem, Scheduled) else problem
 
 
 def exhausted(state: FitState, config: FitConfig) -> bool:

@@ -110,11 +110,29 @@ def label(dynamics: Dynamics, data: Trajectories, config: LabelConfig) -> Exampl
     times = starts[:, None] + np.arange(horizon)  # [S, H]
     trajectory, window = np.divmod(np.arange(len(data) * len(starts)), len(starts))
 
+    rows = (jnp.asarray(trajectory), jnp.asarray(times[window]))
+    transitions, error, before = _predicted(dynamics, data, config, rows)
+    inside = np.flatnonzero((times[window] < length).ravel())
+    numbers = jnp.repeat(jnp.asarray(trajectory), horizon).reshape(-1, horizon)
+
+    def flat(leaf: Array) -> Array:
+        return leaf.reshape(-1, *leaf.shape[2:])[inside]
+
+    return Examples(*jax.tree.map(flat, (transitions, numbers, error, before)))
+
+
+@eqx.filter_jit
+def _predicted(
+    dynamics: Dynamics, data: Trajectories, config: LabelConfig, rows: tuple[Array, Array]
+) -> tuple[Transition, Float[Array, "n H"], Float[Array, "n H"]]:
+    """Predicted transitions, their errors and those before them: for n trajectories' numbers and H times."""
+    length = data.actions.shape[1]
+
     def predict(row: tuple[Array, Array]) -> tuple[Transition, Array, Array]:
         number, time = row
-        # What lies beyond the end is dropped below; until then the last action and state stand there.
+        # What lies beyond the end is dropped later; until then the last action and state stand there.
         actions = data.actions[number, jnp.minimum(time, length - 1)]
-        reached = jnp.minimum(time[0] + jnp.arange(horizon + 1), length)
+        reached = jnp.minimum(time[0] + jnp.arange(len(time) + 1), length)
         true = jax.tree.map(lambda leaf: leaf[number, reached], data.states)
         first = jax.tree.map(lambda leaf: leaf[0], true)
         obstacles = jax.tree.map(lambda leaf: leaf[number], data.obstacles)
@@ -133,15 +151,4 @@ def label(dynamics: Dynamics, data: Trajectories, config: LabelConfig) -> Exampl
         begin, end = jax.tree.map(lambda leaf: leaf[:-1], states), jax.tree.map(lambda leaf: leaf[1:], states)
         return Transition(begin, actions, end, uncertainty), error[1:], before
 
-    @eqx.filter_jit
-    def every(numbers: Array, times: Array):
-        return jax.lax.map(predict, (numbers, times), batch_size=1024)
-
-    transitions, error, before = every(jnp.asarray(trajectory), jnp.asarray(times[window]))
-    inside = np.flatnonzero((times[window] < length).ravel())
-    numbers = jnp.repeat(jnp.asarray(trajectory), horizon).reshape(-1, horizon)
-
-    def flat(leaf: Array) -> Array:
-        return leaf.reshape(-1, *leaf.shape[2:])[inside]
-
-    return Examples(*jax.tree.map(flat, (transitions, numbers, error, before)))
+    return jax.lax.map(predict, rows, batch_size=1024)

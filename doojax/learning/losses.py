@@ -22,9 +22,18 @@ def multistep_loss(predicted: Any, true: Any) -> Float[Array, ""]:
     that makes losses of different ropes comparable), m^2. The released code gives the rope's mean and the
     grippers' mean equal weight instead; grippers go where they are sent, so little hangs on it.
     """
+    return _squares(predicted, true).mean()
+
+
+def loss_by_step(predicted: Any, true: Any) -> Float[Array, "T"]:
+    """What of `multistep_loss` each of the steps 1 to T contributes, times T; m^2."""
+    return _squares(predicted, true).mean(1)
+
+
+def _squares(predicted: Any, true: Any) -> Float[Array, "T d"]:
     errors = jax.tree.map(lambda guess, truth: (guess - truth)[1:], predicted, true)
     squares = [(leaf**2).reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(errors)]
-    return jnp.concatenate(squares, axis=1).mean()
+    return jnp.concatenate(squares, axis=1)
 
 
 class DynamicsProblem(eqx.Module):

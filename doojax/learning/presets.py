@@ -62,6 +62,15 @@ def voxel_classifier_preset(name: PresetName, task: Task) -> Preset:
     return Preset(config, FitConfig(epochs=10 if name == "thesis" else 3, batch_size=16))
 
 
+def deviation_preset(name: PresetName, task: Task) -> Preset:
+    """The network of the classifier from distances; `thesis` trains as its released code does."""
+    network = classifier_preset(name, task).network
+    if name == "thesis":
+        fit = FitConfig(epochs=10, batch_size=32, learning_rate=5e-4, schedule="constant")
+        return Preset(network, fit)
+    return Preset(network, FitConfig(epochs=10, batch_size=128))
+
+
 def full_dynamics_preset(name: PresetName, task: Task) -> Preset:
     """The baseline that predicts motion among obstacles; `quick` has coarser voxels and fewer channels."""
     config = FullDynamicsConfig(task.scene.links, view(name, task.grippers))

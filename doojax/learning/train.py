@@ -16,6 +16,7 @@ from doojax.keys import stream
 from doojax.learning.calibration import conformal_threshold, fit_calibration
 from doojax.learning.checkpoints import MODEL, Header, load_model, own_threshold
 from doojax.learning.data import load_split, open_dataset
+from doojax.learning.deviation import DeviationConfig, calibrated, deviation_examples, fit_deviation
 from doojax.learning.fit import Report, fit, member
 from doojax.learning.full_dynamics import AT_ONCE, windows
 from doojax.learning.labels import error_threshold, label
@@ -24,6 +25,7 @@ from doojax.learning.presets import (
     Preset,
     PresetName,
     classifier_preset,
+    deviation_preset,
     dynamics_preset,
     full_dynamics_preset,
     labels_preset,
@@ -43,6 +45,7 @@ from doojax.tasks.base import Task
 
 ALPHAS = (0.05, 0.1)  # rates of wrong predictions among the accepted, for which thresholds are found
 FEWEST_RECOVERIES = 200  # examples
+BIAS = 10.0  # k_h of equation 4.2, 1/m of the norm of all coordinates, as in the thesis
 ClassifierKind = Literal["classifier", "voxel_classifier"]
 CLASSIFIERS: dict[str, tuple[Any, Callable[[PresetName, Task], Preset]]] = {
     "classifier": (DistanceClassifier, classifier_preset),
@@ -148,6 +151,44 @@ def train_classifier(
     }
     header = Header(kind, task.name, asdict(chosen.network), about)
     run.finish(header, model)
+    return header
+
+
+def train_deviation(
+    data: Path,
+    out: Path,
+    dynamics: Path,
+    preset: PresetName,
+    epochs: int | None,
+    seed: int,
+    report: Report,
+    *,
+    threshold: float | None = None,
+) -> Header:
+    """A calibrated estimator of how far off predictions are, its limit, and factors to upper bounds."""
+    dataset, ensemble, task, limit, judged = judged_data(data, dynamics, threshold)
+    chosen = _with_epochs(deviation_preset(preset, task), epochs)
+    bias = BIAS * float(np.sqrt(task.scene.links))
+    config = DeviationConfig(chosen.network, bias=bias, fit=chosen.fit)
+    files = {"data": data / MANIFEST, "dynamics": model_file(dynamics)}
+    settings = {"limit_m": limit, "horizon": config.horizon, "bias": bias}
+    run = open_run(out, "deviation", task.name, chosen, seed, files, **settings)
+    train, validation, spare = (
+        deviation_examples(ensemble, load_split(dataset, split), horizon=config.horizon, kept_below=limit)
+        for split in ("train", "validation", "calibration")
+    )
+    model = fit_deviation(train, validation, config, seed=seed, run=run, report=report)
+    model, factors = calibrated(model, spare, ALPHAS)
+    about = {
+        "preset": preset,
+        "seed": seed,
+        "threshold_m": limit,
+        "horizon": config.horizon,
+        "conformal_factors": {str(alpha): value for alpha, value in factors.items() if np.isfinite(value)},
+        SAW: seen_data([dataset], [judged]),
+    }
+    header = Header("deviation", task.name, asdict(chosen.network), about)
+    run.finish(header, model.limited(limit))
     return header
 
 

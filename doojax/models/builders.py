@@ -12,6 +12,7 @@ import jax
 
 from doojax.keys import stream
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
+from doojax.models.deviation import DeviationEstimator
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble
 from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
@@ -46,6 +47,11 @@ def recovery(config: Mapping[str, Any]) -> RecoveryNetwork:
     return RecoveryNetwork(checked(config, ClassifierConfig), key=stream(0, "structure"))
 
 
+def deviation(config: Mapping[str, Any]) -> DeviationEstimator:
+    """A `DeviationEstimator`; config: the fields of `ClassifierConfig`."""
+    return DeviationEstimator(checked(config, ClassifierConfig), key=stream(0, "structure"))
+
+
 def full_dynamics(config: Mapping[str, Any]) -> FullDynamics:
     """A `FullDynamics`; config: the fields of `FullDynamicsConfig`, those of its view in a dict."""
     return FullDynamics(checked(config, FullDynamicsConfig), key=stream(0, "structure"))
@@ -60,6 +66,7 @@ BUILDERS: Mapping[str, Callable[[dict[str, Any]], Any]] = {
     "dynamics": dynamics,
     "classifier": classifier,
     "recovery": recovery,
+    "deviation": deviation,
     "full_dynamics": full_dynamics,
     "voxel_classifier": voxel_classifier,
 }

@@ -114,6 +114,59 @@ def test_the_best_epochs_weights_are_kept(tmp_path):
     assert (best < np.array(run.metrics[-1]["validation_loss"])).any()
 
 
+def test_the_last_epochs_weights_are_kept_if_they_are_wanted():
+    config = FitConfig(
+        epochs=12, batch_size=8, members=2, learning_rate=0.8, schedule="constant", keep="last"
+    )
+    losses = []
+    lines = fit(
+        problem(),
+        config,
+        seed=3,
+        members=SCALES,
+        report=lambda number, epochs, metrics: losses.append(metrics["validation_loss"]),
+    )
+    found = [
+        float(problem().validate(jax.tree.map(lambda leaf, i=i: leaf[i], lines), SCALES[i])["loss"])
+        for i in range(2)
+    ]
+    np.testing.assert_allclose(found, losses[-1], rtol=1e-5)
+    assert (np.min(losses, 0) < losses[-1]).any()  # they are not the best
+
+
+class Counting(LineProblem):
+    """Its validation loss is how much it was told that was seen."""
+
+    seen: jax.Array
+
+    def after(self, progress):
+        return eqx.tree_at(lambda one: one.seen, self, progress.examples + 0.001 * progress.steps)
+
+    def validate(self, model, member):
+        return {"loss": self.seen}
+
+
+@pytest.mark.parametrize("batch_size", [8, 32])
+def test_a_scheduled_problem_is_told_how_much_was_seen_even_after_a_kill(batch_size, tmp_path):
+    counting = Counting(jnp.linspace(-1.0, 1.0, 64), jnp.ones(()), jnp.zeros(()))
+    config = FitConfig(epochs=4, batch_size=batch_size, members=2)
+
+    def run(report=lambda number, epochs, metrics: None):
+        folder = RunDirectory.open(tmp_path, {})
+        fit(counting, config, seed=0, run=folder, members=SCALES, report=report)
+        return folder
+
+    def kill(number, epochs, metrics):
+        if number == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(kill)
+    told = [epoch["validation_loss"] for epoch in run().metrics]
+    seen = 64 * np.arange(1, 5)
+    np.testing.assert_allclose(np.array(told)[:, 1], seen + 0.001 * seen / batch_size, rtol=1e-6)
+
+
 def test_training_stops_when_no_member_got_better_for_so_long(tmp_path):
     config = FitConfig(
         epochs=500, batch_size=8, members=2, learning_rate=0.8, schedule="constant", patience=4
@@ -231,6 +284,16 @@ def test_a_buffer_grows_without_compiling_anything_anew():
     assert len(TRACED) == 1
     assert int(points.count) == 56 and float((points.weight > 0).sum()) == 48
     np.testing.assert_allclose([models.slope[0], models.offset[0]], [2, -1], atol=0.2)
+
+
+def test_a_buffer_of_examples_draws_no_empty_place():
+    points = Buffer.of(jnp.array([3.0, 4.0, 5.0]), 8)
+    assert points.items.tolist() == [3, 4, 5, 0, 0, 0, 0, 0]
+    assert set(np.asarray(points.drawn(4, 32, key=jax.random.key(0))).ravel().tolist()) == {0, 1, 2}
+    assert Buffer.of(jnp.ones(3)).capacity == 3
+    for examples, places in ((jnp.ones(9), 8), (jnp.ones(0), 8)):
+        with pytest.raises(ValueError, match=f"there are {len(examples)} examples for 8 places"):
+            Buffer.of(examples, places)
 
 
 def test_a_full_buffer_keeps_the_newest():

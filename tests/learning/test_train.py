@@ -15,9 +15,11 @@ from doojax.experiments.reports.provenance import digest, noted_commands
 from doojax.experiments.reports.summary import read_summary
 from doojax.experiments.training.evaluate import evaluate_model
 from doojax.experiments.training.train import train
+from doojax.experiments.trials.methods import make_method
 from doojax.learning.checkpoints import load_model
 from doojax.learning.runs import RunDirectory
 from doojax.learning.train import train_dynamics
+from doojax.tasks import make_task
 
 STATES = 6
 
@@ -109,6 +111,35 @@ def test_the_classifier_knows_where_the_wall_is_and_nothing_else_does(runs, data
     assert blind["classifier_precision"] == pytest.approx(blind["right_fraction"])
 
 
+def test_deviations_are_known_better_than_by_their_median_and_bounded_as_promised(runs, data, tmp_path):
+    options = {"data": data / "constrained", "dynamics": runs / "dynamics"}
+    train(
+        "deviation",
+        data=(options["data"],),
+        dynamics=options["dynamics"],
+        out=tmp_path / "run",
+        epochs=3,
+        threshold=0.05,
+    )
+    model, header = load_model(tmp_path / "run", kind="deviation")
+    assert float(model.limit) == pytest.approx(0.05) and header.about["threshold_m"] == 0.05
+    files = {"dynamics": runs / "dynamics" / "model.eqx", "deviation": tmp_path / "run" / "model.eqx"}
+    toy = make_task("toy")
+    strict = make_method("deviation", toy, toy.simulator(), files, "conformal:0.1")
+    assert float(strict.reliability.factor) == pytest.approx(header.about["conformal_factors"]["0.1"])
+    with pytest.raises(
+        ValueError, match=r"expected one of those that .* has: conformal:0\.05, conformal:0\.1"
+    ):
+        make_method("deviation", toy, toy.simulator(), files, "conformal:0.2")
+    evaluate_model(str(tmp_path / "run"), **options, publish=tmp_path / "measured")
+    rows = read_summary(tmp_path / "measured" / "summary.json").rows
+    error = {row.tags["estimate"]: row.value for row in rows if row.metric == "mde_error"}
+    assert error["network"] < 0.7 * error["constant"]
+    covered = {row.tags["alpha"]: row.value for row in rows if row.metric == "mde_coverage"}
+    assert covered[0.1] > 0.85 and covered[0.05] > 0.9
+    assert (tmp_path / "measured" / "toy_deviation.png").exists()
+
+
 def test_a_killed_training_ends_with_the_same_model(runs, data, tmp_path):
     def kill(number, epochs, metrics):
         if number == 7:
@@ -150,6 +181,7 @@ def test_a_threshold_for_which_all_is_right(runs, data, tmp_path):
     ("what", "options", "message"),
     [
         ("classifier", {}, "name the dynamics' run by --dynamics"),
+        ("deviation", {}, "a deviation judges predictions: name the dynamics' run by --dynamics"),
         ("recovery", {"dynamics": Path("x")}, "name its run by --classifier"),
         ("dynamics", {"threshold": 0.1}, "threshold is 0.1, but dynamics has none"),
         ("full_dynamics", {}, "learns from two data sets, one of each phase; 1 were named"),

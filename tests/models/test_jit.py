@@ -19,6 +19,7 @@ CONFIGS = {
     "dynamics": {"points": 3, "grippers": 1, "origin": "gripper", "width": 8, "members": 2},
     "classifier": DISTANCES,
     "recovery": DISTANCES,
+    "deviation": DISTANCES,
     "full_dynamics": {"points": 3, "view": VIEW, "width": 8, "scene_width": 8},
     "voxel_classifier": {"points": 3, "view": VIEW, "width": 8},
 }
@@ -34,7 +35,7 @@ ACTION = jnp.array([[0.03, 0.01, 0.0]])
 
 
 def arguments(kind: str) -> tuple:
-    judges = kind in ("classifier", "voxel_classifier", "always", "collision checker")
+    judges = kind in ("classifier", "voxel_classifier", "deviation", "always", "collision checker")
     step = (Transition(BEFORE, ACTION, AFTER, jnp.array(0.01)),) if judges else (BEFORE, ACTION)
     return (OBSTACLES, *step)
 

@@ -16,11 +16,13 @@ from doojax.experiments.reports.provenance import digests
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.statistics import bootstrap
 from doojax.experiments.reports.summary import publish_rows, row, show
-from doojax.experiments.training.pictures import draw_classifier, draw_dynamics
+from doojax.experiments.training.deviation import deviation_figures, deviation_rows
+from doojax.experiments.training.pictures import draw_classifier, draw_deviation, draw_dynamics
 from doojax.experiments.trials.recovery import recovery_rows
 from doojax.keys import check_seed, generator
 from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.data import Trajectories, load_split, open_dataset
+from doojax.learning.deviation import deviation_examples, deviations
 from doojax.learning.labels import Examples, LabelConfig, label
 from doojax.learning.metrics import Counts, auroc, counts, expected_calibration_error
 from doojax.learning.reliability import judged_kept, require_both_classes
@@ -85,6 +87,9 @@ def evaluate_model(
             raise ValueError("what is stuck, the classifier says: name its run by --classifier")
         predicts, judges = (load_model(path, task=task)[0] for path in (dynamics, classifier))
         rows = recovery_rows(dataset, test, predicts, judges, loaded, tags, seed)
+    elif header.kind == "deviation":
+        predicts, _ = load_model(dynamics, task=task, kind="dynamics")
+        rows = _deviation_rows(loaded, header, predicts, test, tags, out / f"{task}_deviation.png")
     else:
         ensemble, about = load_model(dynamics, task=task, kind="dynamics")
         threshold = header.about.get("threshold_m", about.about["threshold_m"])
@@ -131,6 +136,19 @@ def prediction_errors(model: Any, data: Trajectories) -> Float[np.ndarray, "K T 
         lambda: jax.lax.map(lambda x: one(*x), (data.states, data.actions, data.obstacles), batch_size=64)
     )
     return np.asarray(every())
+
+
+def _deviation_rows(
+    model: Any, header: Header, dynamics: Any, test: Trajectories, tags: dict[str, Any], picture: Path
+) -> list[Row]:
+    """Errors of predicted deviations and what their bounds keep, on what a plan could go on from."""
+    limit = float(model.limit)
+    examples = deviation_examples(dynamics, test, horizon=header.about["horizon"], kept_below=limit)
+    predicted, true = deviations(model, examples), np.asarray(examples.deviation)
+    factors = {float(alpha): factor for alpha, factor in header.about["conformal_factors"].items()}
+    figures = deviation_figures(predicted, true, np.asarray(examples.trajectory), factors)
+    draw_deviation(picture, predicted, true, limit, f"{tags['task']}, deviation")
+    return [*deviation_rows(figures, tags), row("limit_m", tags, limit, "m")]
 
 
 def classifier_rows(

@@ -44,6 +44,28 @@ def draw_classifier(
     save_figure(figure, out)
 
 
+def draw_deviation(
+    out: Path, predicted: Float[np.ndarray, "n"], true: Float[np.ndarray, "n"], limit: float, title: str
+) -> None:
+    """True deviations (m) against predicted ones, and their quantiles in bins of as many predictions each."""
+    figure, left, right = _two_panels()
+    least = 1e-4
+    x, y = (100 * np.maximum(values, least) for values in (predicted, true))
+    left.scatter(x, y, s=2, alpha=0.2)
+    order = np.array_split(np.argsort(x), 12)
+    middle = [np.median(x[part]) for part in order]
+    low, half, high = np.transpose([np.quantile(y[part], [0.1, 0.5, 0.9]) for part in order])
+    right.fill_between(middle, low, high, alpha=0.25, label="10 % to 90 %")
+    right.plot(middle, half, label="median")
+    for axis in (left, right):
+        axis.axline((1, 1), slope=1, color="grey", linewidth=1)
+        axis.axvline(100 * limit, color="black", linewidth=1, linestyle=":")
+        axis.set(xscale="log", yscale="log", xlabel="predicted deviation, cm", ylabel="true deviation, cm")
+    left.set(title=title)
+    right.legend()
+    save_figure(figure, out)
+
+
 def save_figure(figure: Figure, out: Path) -> None:
     """Write a PNG, and the folder that it is in."""
     out.parent.mkdir(parents=True, exist_ok=True)

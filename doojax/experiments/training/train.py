@@ -18,7 +18,8 @@ from doojax.learning import train as learning
 from doojax.learning.fit import Report
 from doojax.learning.presets import PresetName
 
-What = Literal["dynamics", "classifier", "voxel_classifier", "recovery", "full_dynamics"]
+What = Literal["dynamics", "classifier", "voxel_classifier", "deviation", "recovery", "full_dynamics"]
+JUDGES = ("classifier", "voxel_classifier", "deviation")  # whose threshold can be chosen
 CURVES = "curves.png"
 
 
@@ -41,15 +42,17 @@ def train(
 
     Args:
         what: dynamics (an ensemble, from data of phase unconstrained), classifier (from distances, phase
-            constrained), voxel_classifier (the thesis's), recovery, or full_dynamics (data of both phases).
+            constrained), voxel_classifier (the thesis's), deviation (how far off predictions are, phase
+            constrained), recovery, or full_dynamics (data of both phases).
         data: the data set's folder; two of them for full_dynamics.
         out: the run's folder; new, empty, or the same run unfinished.
-        dynamics: the run or model.eqx whose predictions a classifier or a recovery network judges.
+        dynamics: the run or model.eqx whose predictions a classifier, a deviation estimator or a recovery
+            network judges.
         classifier: the run or model.eqx of the classifier that a recovery network begins with.
         preset: quick (two CPU cores) or thesis (the thesis's sizes and choices).
         epochs: in place of the preset's.
-        threshold: of the model error (m) below which a prediction counts as right; by default the 90 %
-            quantile that was found when the dynamics were trained.
+        threshold: of the model error (m) below which a prediction counts as right, or below which a deviation
+            is accepted; by default the 90 % quantile that was found when the dynamics were trained.
         seed: of everything that is random.
 
     Raises:
@@ -57,7 +60,7 @@ def train(
             missing or does not fit, a folder that holds something else, or a loss that is not finite.
     """
     check_seed(seed)
-    if threshold is not None and "classifier" not in what:
+    if threshold is not None and what not in JUDGES:
         raise ValueError(f"threshold is {threshold}, but {what} has none: it is a classifier's")
     if len(data) != (2 if what == "full_dynamics" else 1):
         wanted = "two data sets, one of each phase" if what == "full_dynamics" else "one data set"
@@ -76,7 +79,11 @@ def train(
             header = learning.train_recovery(data[0], out, judged, begun, **common)
         else:
             judged = _named(dynamics, f"a {what} judges predictions: name the dynamics' run by --dynamics")
-            header = learning.train_classifier(what, data[0], out, judged, threshold=threshold, **common)
+            common |= {"threshold": threshold}
+            if what == "deviation":
+                header = learning.train_deviation(data[0], out, judged, **common)
+            else:
+                header = learning.train_classifier(what, data[0], out, judged, **common)
     draw_curves(out, out / CURVES)
     files = {f"data {number}": path for number, path in enumerate(data, start=1)}
     inputs = {**files, "dynamics": dynamics, "classifier": classifier}

@@ -71,8 +71,8 @@ def evaluate(
 
     Args:
         task: rope_dragging, dual_gripper or toy.
-        methods: some of classifier, voxel_classifier, no_classifier, collision_checker, full_dynamics,
-            learned_recovery, random_recovery, oracle.
+        methods: some of classifier, voxel_classifier, deviation, no_classifier, collision_checker,
+            full_dynamics, learned_recovery, random_recovery, oracle.
         out: the evaluation's folder; new, empty, or the same evaluation unfinished.
         models: a folder of trained models, or of folders with a model.eqx each; by default those that come
             with doojax. Where there are none, the dynamics are the simulator's own without obstacles.
@@ -88,6 +88,7 @@ def evaluate(
         keep_trees: record all that was tried in every search (megabytes a trial).
         accept: conformal:0.05 or conformal:0.1: accept only above the classifier's threshold at which at most
             that fraction of what it accepts was to be wrong; by default what is more likely right than wrong.
+            With the method deviation, only where the upper bound that so many exceed is below its limit.
         allow_seen: go on with scenes that a model saw in training, and mark the results.
 
     Raises:

@@ -27,6 +27,7 @@ class Recipe:
 RECIPES: Mapping[str, Recipe] = {
     "classifier": Recipe("dynamics", "classifier"),
     "voxel_classifier": Recipe("dynamics", "voxel_classifier"),
+    "deviation": Recipe("dynamics", "deviation"),
     "no_classifier": Recipe("dynamics"),
     "collision_checker": Recipe("dynamics", "collision_checker"),
     "full_dynamics": Recipe("full_dynamics"),
@@ -104,7 +105,9 @@ def make_method(
         models: files by kind.
         accept: what a classifier must say for a transition to be accepted: "conformal:ALPHA", above the
             threshold at which at most the fraction ALPHA of accepted transitions was to be wrong; by default
-            more likely right than wrong. Methods without a classifier do not look at it.
+            more likely right than wrong. Of a deviation it is the upper bound that is to be exceeded by the
+            fraction ALPHA, by default the expected one, that must be below its limit. Methods with neither
+            do not look at it.
 
     Raises:
         ValueError: as `needed_models`, and for a rate for which the classifier has no threshold.
@@ -117,8 +120,10 @@ def make_method(
     def loaded(kind: str) -> Any:
         model, header = load_model(needed[kind], task=task.name, kind=kind)
         errors[kind] = header.about.get("threshold_m")
+        if accept is not None and kind == "deviation":
+            return model.bounded(conformal_value(accept, header, needed[kind]))
         if accept is not None and kind == recipe.reliability:
-            return Stricter(model, conformal_limit(accept, header, needed[kind]))
+            return Stricter(model, conformal_value(accept, header, needed[kind]))
         return model
 
     made: dict[str, Any] = {"begin": simulated_start} if recipe.dynamics == "simulator" else {}
@@ -138,13 +143,14 @@ def make_method(
     return Method(name, dynamics, judging, recovery, **made)
 
 
-def conformal_limit(accept: str, header: Header, path: Path) -> float:
-    """The threshold that a classifier's header has for "conformal:ALPHA".
+def conformal_value(accept: str, header: Header, path: Path) -> float:
+    """What a model's header has for "conformal:ALPHA": a classifier's threshold, a deviation's factor.
 
     Raises:
         ValueError: for another text, or a rate for which there is none; the message lists those there are.
     """
-    safe = header.about.get("conformal_thresholds", {})
+    name = "conformal_factors" if header.kind == "deviation" else "conformal_thresholds"
+    safe = header.about.get(name, {})
     kind, _, alpha = accept.partition(":")
     there = ", ".join(f"conformal:{rate}" for rate in safe) or "none"
     if kind != "conformal" or alpha not in safe:

@@ -53,8 +53,8 @@ def plan(
 
     Args:
         task: rope_dragging, dual_gripper or toy.
-        method: one of classifier, voxel_classifier, no_classifier, collision_checker, full_dynamics,
-            learned_recovery, random_recovery, oracle; by default classifier if there is one.
+        method: one of classifier, voxel_classifier, deviation, no_classifier, collision_checker,
+            full_dynamics, learned_recovery, random_recovery, oracle; by default classifier if there is one.
         models: a folder of trained models, or of folders with a model.eqx each; by default those that come
             with doojax.
         scene: the number of one of the task's scenes for trials; by default a scene drawn by the seed.
@@ -69,6 +69,7 @@ def plan(
         budget: when to give up.
         accept: conformal:0.05 or conformal:0.1: accept only above the classifier's threshold at which at most
             that fraction of what it accepts was to be wrong; by default what is more likely right than wrong.
+            With the method deviation, only where the upper bound that so many exceed is below its limit.
         allow_seen: plan in a scene that a model saw in training, too.
         out: the record to write, ending in .npz, which must not be there yet; by default the first of
             plans/TASK_METHOD_1.npz, plans/TASK_METHOD_2.npz, ... that is not.
