@@ -282,9 +282,9 @@ class Dataset:
     def trajectories(self, indices: Indices, kind: type[Any] = RopeState) -> Trajectory:
         """Each trajectory's states, of the type named, and all else that a `Trajectory` holds."""
         names = [one.name for one in dataclasses.fields(Trajectory) if one.name != "states"]
-        return Trajectory(
-            states=self.states(indices, kind), **{name: jnp.asarray(self[name][indices]) for name in names}
-        )
+        stored = {name: jnp.asarray(self[name][indices]) for name in names if name in self.fields}
+        stored.setdefault("stretch", jnp.zeros_like(stored["clearance"]))  # where there is no rope
+        return Trajectory(states=self.states(indices, kind), **stored)
 
     def zarr_array(self, name: str) -> zarr.Array:
         """The array that holds a field. Raises ValueError where it is not as the manifest says."""

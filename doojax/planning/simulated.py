@@ -66,8 +66,9 @@ class HostSimulated:
     ) -> tuple[State, Float[Array, "R L"]]:
         """The next states; see `Simulated`."""
         shape = actions.shape[:2]
-        flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), _simulation(states))
-        last, trajectory = self._simulator.rollout(flat, actions.reshape(-1, 1, *actions.shape[2:]))
+        count = shape[0] * shape[1]  # not -1, which fields without a size refuse, such as what nobody holds
+        flat = jax.tree.map(lambda leaf: leaf.reshape(count, *leaf.shape[2:]), _simulation(states))
+        last, trajectory = self._simulator.rollout(flat, actions.reshape(count, 1, *actions.shape[2:]))
         seen = jax.tree.map(lambda leaf: leaf[:, -1], trajectory.states)
         after = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), _seen(last, seen))
         return after, jnp.zeros(shape)
