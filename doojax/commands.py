@@ -86,6 +86,10 @@ COMMANDS: Commands = {
     "plan": ("doojax.experiments.trials.plan:plan", "plan and execute in one scene"),
     "scenes": ("doojax.experiments.trials.scenes:scenes", "draw a set of scenes for trials"),
     "evaluate": ("doojax.experiments.trials.evaluate:evaluate", "try methods on the same scenes"),
+    "regrasp": (
+        "doojax.experiments.regrasping.command:regrasp",
+        "two arms bring a fastened rope's end to a place, regrasping as they do",
+    ),
     "compare": (
         "doojax.experiments.reports.compare:compare",
         "tables, a figure and paired tests of an evaluation",

@@ -74,6 +74,16 @@ class RopeState(eqx.Module):
         return RopeState(points=motion.points(self.points), grippers=motion.points(self.grippers))
 
 
+class ArmsState(RopeState):
+    """The same, and the joints of the arms whose tools are the grippers."""
+
+    joints: Float[Array, "*b J"]  # rad or m, in the order of `doojax.robots.Robot.joints`
+
+    def moved(self, motion: Motion) -> "ArmsState":
+        """The same rope, held alike, elsewhere, by arms whose base moves along."""
+        return ArmsState(motion.points(self.points), motion.points(self.grippers), self.joints)
+
+
 class PushingState(eqx.Module):
     """What is seen of rigid bodies that a hand pushes over a table."""
 

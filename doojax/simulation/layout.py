@@ -13,7 +13,7 @@ from doojax.geometry.crossing import enters
 from doojax.geometry.sdf import signed_distance
 from doojax.simulation.parts.base import Places, Turn, split
 from doojax.simulation.scenes import Scene
-from doojax.types import Obstacles, PushingState, RopeState
+from doojax.types import ArmsState, Obstacles, PushingState, RopeState
 
 if TYPE_CHECKING:
     import mujoco
@@ -141,7 +141,8 @@ def observe(
     }
     if scene.cylinders:
         return Observation(PushingState(hand=hands[..., 0, :], **seen), hands, **shape)
-    return Observation(RopeState(grippers=hands, **seen), hands, **shape)
+    kind = ArmsState if "joints" in seen else RopeState
+    return Observation(kind(grippers=hands, **seen), hands, **shape)
 
 
 def moved(

@@ -103,6 +103,15 @@ class Arms:
 
 
 @dataclass(frozen=True)
+class Attachment:
+    """Where a rope is fastened to an obstacle, for good; it may turn there. Moving the obstacle moves it."""
+
+    obstacle: str  # its name; one without shapes is a mere place
+    link: int  # of the rope
+    end: Literal[-1, 0, 1]  # which end of the link: -1 towards link 0, +1 towards the last link, 0 its centre
+
+
+@dataclass(frozen=True)
 class SolverSettings:
     """MuJoCo's solver; the same values serve every engine, because results depend on them.
 
@@ -142,6 +151,7 @@ class Scene:
     grasps: bool = field(
         default=False, repr=False
     )  # may hands hold the rope anywhere: doojax.simulation.grasps
+    attachments: tuple[Attachment, ...] = field(default=(), repr=False)
 
     def __post_init__(self):
         """Refuse a rope without a model, and grippers that hold a link the rope lacks."""
@@ -161,6 +171,13 @@ class Scene:
             )
         if self.grasps and self.rope is None:
             raise ValueError(f"scene {self.name!r} has grasps and no rope: expected something to grasp")
+        for one in self.attachments:
+            known = [obstacle.name for obstacle in self.obstacles]
+            if one.obstacle not in known or not 0 <= one.link < self.links:
+                raise ValueError(
+                    f"an attachment fastens link {one.link} to {one.obstacle!r}, expected one of "
+                    f"{self.links} links and one of the obstacles {', '.join(known)}"
+                )
         for index, gripper in enumerate(self.grippers):
             if gripper.link is not None and not 0 <= gripper.link < self.links:
                 there = f"the rope's links are 0 to {self.links - 1}" if self.links else "there is no rope"
@@ -174,11 +191,13 @@ class Scene:
         """
         text = repr(self) + (repr(self.cylinders) if self.cylinders else "") + "grasps" * self.grasps
         text += repr(self.arms) if self.arms else ""
+        text += repr(self.attachments) if self.attachments else ""
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @cached_property
     def parts(self) -> "tuple[Part, ...]":
         """What the scene is made of, in the order in which it is added."""
+        from doojax.simulation.parts.attachments import Attachments
         from doojax.simulation.parts.cylinders import Cylinders
         from doojax.simulation.parts.grasps import Grasps
         from doojax.simulation.parts.surroundings import Floor, ObstacleBodies
@@ -190,6 +209,7 @@ class Scene:
             *([self.rope_part] if self.rope is not None else []),
             self.driver,
             *([Cylinders(self.cylinders)] if self.cylinders else []),
+            *([Attachments(self.attachments)] if self.attachments else []),
             *([Grasps(self.driver.bodies, self.driver.anchors, self.links)] if self.grasps else []),
         )
 

@@ -9,6 +9,7 @@ from rich.console import Console
 from doojax.datasets import Dataset
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.records import TrialRecord
+from doojax.viewer.arms import strip
 from doojax.viewer.episodes import require_rope
 from doojax.viewer.films import Film, film_of_prediction, film_of_trajectory, film_of_trial
 from doojax.viewer.pictures import animate, contact_sheet, frames
@@ -22,8 +23,9 @@ LOOKED_AT = 512  # trajectories, for those that move most
 def render(path: Path, /, *, out: Path, index: int | None = None) -> None:
     """Draw a data set, a prediction or a trial.
 
-    A .png of a data set is a sheet of many trajectories, of anything else its end. A .gif or .mp4 moves. An
-    .html is a page to turn and play that needs nothing else; a .viser is the same for viser's own player.
+    A .png of a data set is a sheet of many trajectories, of a trial of arms what they did, of anything else
+    its end. A .gif or .mp4 moves. An .html is a page to turn and play that needs nothing else; a .viser is
+    the same for viser's own player.
 
     Args:
         path: a data set or a record (.npz).
@@ -45,6 +47,12 @@ def render(path: Path, /, *, out: Path, index: int | None = None) -> None:
         contact_sheet(dataset, chosen, out)
         what = f"{len(chosen)} of {len(dataset)} trajectories"
     else:
+        shown = None if dataset else load_record(path)
+        if isinstance(shown, TrialRecord) and "joints" in shown.replay and out.suffix == ".png":
+            out.parent.mkdir(parents=True, exist_ok=True)
+            strip(shown, out)
+            Console(stderr=True, soft_wrap=True).print(f"drew {path}: {out}", highlight=False, markup=False)
+            return
         film = film_of_trajectory(dataset, chosen_index(dataset, index)) if dataset else film_at(path, index)
         out.parent.mkdir(parents=True, exist_ok=True)
         write(film, out)

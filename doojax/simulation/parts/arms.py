@@ -74,10 +74,12 @@ class ArmBodies(Part):
     def find(self, model: mujoco.MjModel) -> Places:
         """``qpos`` are the driven joints', [U]."""
         joints = [model.joint(PREFIX + name) for name in self.joints]
+        every = [model.joint(PREFIX + one.name) for one in self._spec().joints]
         return Places(
             frames=find_frames(model, self.frames()),
             qpos=np.array([one.qposadr[0] for one in joints], dtype=int),
             dofs=np.array([one.dofadr[0] for one in joints], dtype=int),
+            coordinates=np.sort([one.qposadr[0] for one in every]).astype(int),
         )
 
     def see(
@@ -86,9 +88,12 @@ class ArmBodies(Part):
         coordinates: Float[Array, "*b C"],
         sizes: Float[Array, "*b Z 2"],
     ) -> dict[str, Array]:
-        """The tools are the grippers; what they hold is data, see `doojax.simulation.grasps`."""
+        """The tools are the grippers, beside all joints, those of fingers too.
+
+        What tools hold is data, see `doojax.simulation.grasps`.
+        """
         (tools,) = vectors
-        return {"grippers": tools, "hold_points": tools[..., :0, :]}
+        return {"grippers": tools, "hold_points": tools[..., :0, :], "joints": coordinates}
 
     def samples(self, seen: "Observation") -> list[tuple[Float[Array, "P 3"], Float[Array, "P"]]]:
         """The tools: of the links `doojax.robots` knows more."""

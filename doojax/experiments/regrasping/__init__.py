@@ -1,0 +1,1 @@
+"""Regrasping with the grasp loop signature: control, traps, grasp planning and trials (thesis chapter 5)."""
