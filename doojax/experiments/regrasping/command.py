@@ -10,8 +10,9 @@ from doojax.commands import command_line
 from doojax.datasets.progress import progress_bar
 from doojax.experiments.provenance import note_command
 from doojax.experiments.records import TrialRecord, load_record, save_record
+from doojax.experiments.regrasping.choice import Method
 from doojax.experiments.regrasping.figures import rows_of
-from doojax.experiments.regrasping.trial import Method, RegraspSettings, run_trial
+from doojax.experiments.regrasping.trial import RegraspSettings, run_trial
 from doojax.experiments.reports import publish_rows, show
 from doojax.files import alone_in, claim
 from doojax.keys import check_seed
@@ -29,7 +30,7 @@ def regrasp(
     /,
     *,
     out: Path,
-    methods: tuple[str, ...] = ("signature",),
+    methods: tuple[Method, ...] = ("signature",),
     scenes: int = 3,
     seed: int = 0,
     settings: RegraspSettings = SETTINGS,
@@ -88,7 +89,7 @@ def record_file(out: Path, method: str, number: int) -> Path:
 
 def run_missing(
     task: ArmTask,
-    methods: tuple[str, ...],
+    methods: tuple[Method, ...],
     scenes: int,
     seed: int,
     settings: RegraspSettings,
@@ -105,7 +106,7 @@ def run_missing(
             start = drawn_start(task, simulator, seed, number) if missing else None
             for method in methods:
                 if method in missing and start is not None:
-                    record = run_trial(task, simulator, start, method, seed, number, settings)  # pyright: ignore
+                    record = run_trial(task, simulator, start, method, seed, number, settings)
                     file = record_file(out, method, number)
                     file.parent.mkdir(parents=True, exist_ok=True)
                     save_record(file, record)

@@ -1,8 +1,4 @@
-"""Point reaching by MPPI and regrasps: algorithm 6 of the thesis, and what a trial's record holds.
-
-Where the algorithm and the released code differ: grasps are planned once for each trap, and priced anew when
-the signature has gone on the blocklist (the code; algorithm 6 samples and simulates again).
-"""
+"""Point reaching by MPPI and regrasps: algorithm 6 of the thesis, and what a trial's record holds."""
 
 import time
 from dataclasses import asdict, dataclass, field
@@ -14,18 +10,18 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from doojax.experiments.records import Event, Look, TrialRecord
+from doojax.experiments.regrasping.choice import Method, choose, listing
 from doojax.experiments.regrasping.control import PERIOD, PRESETS, controller
 from doojax.experiments.regrasping.planner import PlannerSettings, Plans, signature_now
 from doojax.experiments.regrasping.world import Executed, World, as_jax
 from doojax.experiments.trial_replay import first_state
 from doojax.keys import numbered, stream
-from doojax.planning.regrasp import SAME_PLACE, Strategy, geodesic, got_stuck
+from doojax.planning.regrasp import Strategy
 from doojax.planning.traps import TrapSettings, regrasped, seen, watched
 from doojax.simulation.engines.mujoco import MujocoSimulator
 from doojax.tasks.arms import BASE, ArmTask, Start
 from doojax.topology.signatures import Blocklist, Signature
 
-Method = Literal["signature", "no_signature", "always_blocklist", "nearest"]
 MOST_LISTED = 256  # signatures on a blocklist
 GIVES_UP = 5  # plannings in a row without a grasp, while nobody holds the rope
 
@@ -123,7 +119,8 @@ class Run:
         self, world: World, start: Start, method: Method, key: Key[Array, ""], settings: RegraspSettings
     ):
         """At its start."""
-        self.world, self.method, self.settings, self.key = world, method, settings, key
+        self.method: Method = method
+        self.world, self.settings, self.key = world, settings, key
         self.goal = np.asarray(start.goal, np.float32)  # world frame, m
         self.execution, self.ledger = Executed(world, start.state), Ledger()
         self.signature: Signature = signature_now(world, start.state)
@@ -195,7 +192,11 @@ class Run:
         """Plan and execute a change of grasps; whether one was executed."""
         begun = time.perf_counter()
         plans = Plans(self.world, as_jax(self.execution.state), key, self.settings.planner)
-        chosen, listed = self._choose(plans, key)
+        before = int(self.blocklist.length)
+        chosen, self.blocklist = choose(
+            self.method, plans, self.blocklist, self.world.task.keypoint, jax.random.fold_in(key, 3_000)
+        )
+        listed = int(self.blocklist.length) > before
         planned = time.perf_counter()
         note = self._note(plans, chosen, listed, iteration)
         changed = False
@@ -213,25 +214,6 @@ class Run:
         }
         self.ledger.regrasps.append(note)
         return changed
-
-    def _choose(self, plans: Plans, key: Key[Array, ""]) -> tuple[int | None, bool]:
-        """The candidate to execute, and whether the present signature went on the blocklist."""
-        method, keypoint = self.method, self.world.task.keypoint
-        if method == "nearest":
-            drawn = np.asarray(jax.random.uniform(jax.random.fold_in(key, 3_000), (len(plans.candidates),)))
-            costs = nearest_or_random(plans.candidates.places, plans.now, keypoint, drawn)
-            return plans.best(lambda p: costs), False
-        if method == "no_signature":
-            return plans.best(lambda p: p.costs(self.blocklist)), False  # nothing is ever on it
-        holds = not np.isnan(plans.now).all()
-        if method == "always_blocklist" and holds:
-            self.blocklist = self.blocklist.add(plans.signature_before)
-            return plans.best(lambda p: p.costs(self.blocklist)), True
-        first = plans.best(lambda p: p.costs(self.blocklist))
-        if first is None or not got_stuck(plans.now, plans.candidates.places[first], keypoint):
-            return first, False
-        self.blocklist = self.blocklist.add(plans.signature_before)
-        return plans.best(lambda p: p.costs(self.blocklist)), True
 
     def _execute(self, plans: Plans, chosen: int, note: dict[str, Any]) -> bool:
         """Let go, move, grasp; whether the hand that went somewhere holds the rope then."""
@@ -305,18 +287,6 @@ class Run:
         return reached
 
 
-def nearest_or_random(
-    places: Float[np.ndarray, "C G"],
-    now: tuple[float, ...],
-    keypoint: float,
-    drawn: Float[np.ndarray, "C"],
-) -> Float[np.ndarray, "C"]:
-    """The simple baseline's costs: how far from the keypoint along the rope, if that is nearer than now;
-    else what was drawn, 0 to 1, which comes after all these."""
-    apart, before = geodesic(places, keypoint), geodesic(np.asarray(now), keypoint)
-    return np.where(apart < before - SAME_PLACE, apart, 10 + drawn)
-
-
 def describe(plans: Plans, chosen: int) -> str:
     """A candidate in words."""
     names = plans.candidates.strategies[chosen].tolist()
@@ -326,12 +296,6 @@ def describe(plans: Plans, chosen: int) -> str:
         for hand, one, place in zip(hands, names, plans.candidates.places[chosen], strict=True)
     ]
     return ", ".join(said)
-
-
-def listing(blocklist: Blocklist) -> list[str]:
-    """The signatures on a blocklist, as text."""
-    count = int(blocklist.length)
-    return [str(jax.tree.map(lambda leaf, i=i: leaf[i], blocklist.entries)) for i in range(count)]
 
 
 def _places(places: Any) -> list[float | None]:
