@@ -31,6 +31,7 @@ from doojax.types import Obstacles, ShapeKind
 
 BASE = (0.0, 0.0, 0.445)  # m, of the robot above the floor
 ARMS = Arms(str(DUAL_ARM), ("left", "right"), BASE)
+TIMESTEP, SUBSTEPS = 0.01, 20  # s; a control period of 0.2 s, the mean of the thesis, whose step is 0.004 s
 MARGIN = 0.005  # m, that arms keep from what they must not touch at the start
 ATTEMPTS = 200
 SETTLING = 2.0  # s, in which the rope comes to rest: 500 steps, as in the thesis's code

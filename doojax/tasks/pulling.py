@@ -9,7 +9,7 @@ import numpy as np
 
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Attachment, Obstacle, Scene, SolverSettings
-from doojax.tasks.arms import ARMS, BASE, ArmTask, Drawn, box, polyline_of
+from doojax.tasks.arms import ARMS, BASE, SUBSTEPS, TIMESTEP, ArmTask, Drawn, box, polyline_of
 
 LINKS, LENGTH, RADIUS = 20, 3.0, 0.018  # m
 DOWN = 4  # links in which the hose comes down from the wall to the floor
@@ -30,10 +30,10 @@ def scene() -> Scene:
         ),
         grippers=(),
         obstacles=(box("wall", 0.05, 2.5, 1.0), Obstacle("attach", ())),
-        timestep=0.004,
-        substeps=25,
+        timestep=TIMESTEP,
+        substeps=SUBSTEPS,
         viscosity=1.0,
-        solver=SolverSettings(cone="pyramidal"),
+        solver=SolverSettings(cone="pyramidal", contact_time=2 * TIMESTEP),
         arms=ARMS,
         grasps=True,
         attachments=(Attachment("attach", 0, -1),),

@@ -10,7 +10,7 @@ import numpy as np
 
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Attachment, Obstacle, Scene, SolverSettings
-from doojax.tasks.arms import ARMS, BASE, ArmTask, Drawn, box, polyline_of
+from doojax.tasks.arms import ARMS, BASE, SUBSTEPS, TIMESTEP, ArmTask, Drawn, box, polyline_of
 from doojax.topology.skeletons import rectangle
 
 LINKS, LENGTH = 11, 1.0  # m
@@ -50,10 +50,10 @@ def scene() -> Scene:
             box("back_wall", 2.5, 0.01, 1.0),
             Obstacle("attach", ()),
         ),
-        timestep=0.004,
-        substeps=25,
+        timestep=TIMESTEP,
+        substeps=SUBSTEPS,
         viscosity=1.0,
-        solver=SolverSettings(cone="pyramidal"),
+        solver=SolverSettings(cone="pyramidal", contact_time=2 * TIMESTEP),
         arms=ARMS,
         grasps=True,
         attachments=(Attachment("attach", 0, -1),),

@@ -32,9 +32,9 @@ from doojax.types import Obstacles
 PERIOD = 0.2  # s, that a control lasts: the thesis's mean
 NEAR = 0.02  # m, from which on arms pay for being near to something
 PRESETS = {
-    # 24 samples and 8 controls where the thesis's simulations have 50 and 15, and its real robot 32 and 7
+    # where the thesis's simulations have 50 samples of 15 controls, and its real robot 32 of 7
     "quick": MppiSettings(
-        samples=24, horizon=8, temperature=0.15, noise=0.187, adapt_noise=True, duration=PERIOD
+        samples=24, horizon=7, temperature=0.15, noise=0.187, adapt_noise=True, duration=PERIOD
     ),
     "thesis": MppiSettings(
         samples=50, horizon=15, temperature=0.15, noise=0.187, adapt_noise=True, duration=PERIOD

@@ -37,7 +37,7 @@ from doojax.topology.skeletons import Skeleton
 class PlannerSettings:
     """How many candidates."""
 
-    places: int = 8  # along the rope, for each combination of strategies; the thesis's code has 20
+    places: int = 20  # along the rope, for each combination of strategies, as in the thesis's code
     weights: costs.RegraspWeights = costs.WEIGHTS
 
     def __post_init__(self):

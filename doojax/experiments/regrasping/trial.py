@@ -179,7 +179,11 @@ class Run:
         mppi = controller(self.world, places, self.goal, PRESETS[self.settings.preset])
         nominal, report = mppi(mppi.start() if nominal is None else nominal, self.execution.state, key)
         report.check()
-        terms = {name: float((report.weights * cost).sum()) for name, cost in report.terms.items()}
+        weights = np.asarray(report.weights)
+        chosen = weights > 0  # others may have broken down, and cost NaN
+        terms = {
+            name: float((weights * np.asarray(cost))[chosen].sum()) for name, cost in report.terms.items()
+        }
         control = np.asarray(nominal.controls[0])
         planned = time.perf_counter()
         action = np.zeros(len(self.world.scene.layout.driven))

@@ -18,12 +18,14 @@ from doojax.topology.skeletons import Skeleton
 from doojax.types import Obstacles
 
 CHUNK = 8  # states that are simulated together: one shape, compiled once
-LOOK = 5  # control periods between two looks at whether all is at rest
+LOOK = 3  # control periods between two looks at whether all is at rest
 RESTING = (0.01, np.deg2rad(1.0))  # m and rad, that rope and joints move at most in a period at rest
 LONGEST = 5.0  # s, until what still moves counts as at rest
 REACH = 0.05  # m, between a tool and what it grasps
 ARRIVED = np.deg2rad(1.0)  # rad, of every joint from where it was sent
-WAITING = 20  # control periods in which joints may still arrive
+LAG = 0.1  # rad, that a joint may be behind while others go on
+MOST_WAITED = 75  # control periods for each line, as in the thesis's code
+WAITING = 10  # control periods in which joints may still arrive
 
 
 class Seen(NamedTuple):
@@ -154,9 +156,10 @@ class Executed:
                 return
 
     def follow(self, waypoints: Float[np.ndarray, "W J"]) -> bool:
-        """Move the joints along straight lines at their largest speeds; whether they arrive.
+        """Move the joints along straight lines, at their largest speeds at most; whether they arrive.
 
-        Each line takes a whole number of control periods, so that corners are not cut.
+        Each line takes a whole number of control periods, so that corners are not cut; and as long as a joint
+        lags behind by more than `LAG`, which drives of bounded force do, all wait for it.
         """
         task, period = self.world.task, self.world.scene.control_period
         moving, at = np.array(task.moving), np.array(task.actuated)
@@ -164,8 +167,12 @@ class Executed:
         begin = np.asarray(self.state.commanded)[at]
         for waypoint in np.asarray(waypoints)[:, moving]:
             ticks = int(np.ceil((np.abs(waypoint - begin) / speed).max() / period - 1e-6))
-            for tick in range(ticks):
-                self._send(begin + (tick + 1) / ticks * (waypoint - begin), at)
+            tick = waited = 0
+            while tick < ticks and waited < MOST_WAITED and not self.fault:
+                aim = begin + (tick + 1) / ticks * (waypoint - begin)
+                self._send(aim, at)
+                behind = np.abs(np.asarray(self.joints[-1])[moving] - aim).max() > LAG
+                tick, waited = (tick, waited + 1) if behind else (tick + 1, waited)
             begin = waypoint
         for _ in range(WAITING):
             if np.abs(np.asarray(self.joints[-1])[moving] - begin).max() < ARRIVED or self.fault:

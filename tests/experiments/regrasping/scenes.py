@@ -8,7 +8,7 @@ from doojax.simulation.laying import laid
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Attachment, Obstacle, Scene, SolverSettings
 from doojax.simulation.state import at_rest
-from doojax.tasks.arms import ARMS, ArmTask, Start, box, joint_addresses
+from doojax.tasks.arms import ARMS, SUBSTEPS, TIMESTEP, ArmTask, Start, box, joint_addresses
 
 LINKS, LENGTH = 6, 0.6
 HOOK, GOAL = (0.1, 0.62, 1.1), (-0.05, 0.62, 0.75)
@@ -18,10 +18,10 @@ SCENE = Scene(
     rope=RopeParameters(LENGTH, 0.01, 0.2, bending_stiffness=2e-3, bending_damping=2e-3),
     grippers=(),
     obstacles=(Obstacle("attach", ()), box("shelf", 0.05, 0.05, 0.05)),
-    timestep=0.004,
-    substeps=25,
+    timestep=TIMESTEP,
+    substeps=SUBSTEPS,
     viscosity=1.0,
-    solver=SolverSettings(cone="pyramidal"),
+    solver=SolverSettings(cone="pyramidal", contact_time=2 * TIMESTEP),
     arms=ARMS,
     grasps=True,
     attachments=(Attachment("attach", 0, -1),),
