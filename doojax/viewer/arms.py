@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from PIL import Image, ImageDraw
 
-from doojax.experiments.records import TrialRecord
+from doojax.experiments.trials.records import TrialRecord
 from doojax.robots import Robot, capsule_ends, dual_arm
 from doojax.tasks.arms import BASE
 from doojax.types import Obstacles, ShapeKind

@@ -8,12 +8,13 @@ from rich.console import Console
 
 from doojax.commands import command_line
 from doojax.datasets.progress import progress_bar
-from doojax.experiments.provenance import note_command
-from doojax.experiments.records import TrialRecord, load_record, save_record
 from doojax.experiments.regrasping.choice import Method
 from doojax.experiments.regrasping.figures import rows_of
 from doojax.experiments.regrasping.trial import RegraspSettings, run_trial
-from doojax.experiments.reports import publish_rows, show
+from doojax.experiments.reports.provenance import note_command
+from doojax.experiments.reports.summary import publish_rows, show
+from doojax.experiments.trials.record_files import load_record, save_record
+from doojax.experiments.trials.records import TrialRecord
 from doojax.files import alone_in, claim
 from doojax.keys import check_seed
 from doojax.tasks.arms import ArmTask, drawn_start

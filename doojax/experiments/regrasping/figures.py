@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from doojax.experiments.records import TrialRecord
-from doojax.experiments.reports import Row, row
-from doojax.experiments.statistics import bootstrap, mcnemar, success_rate
+from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.statistics import bootstrap, mcnemar, success_rate
+from doojax.experiments.reports.summary import row
+from doojax.experiments.trials.records import TrialRecord
 
 # Figure -> what of a record's `about` it is, in which unit, and what a unit of that is.
 MEANS = {

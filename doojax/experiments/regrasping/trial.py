@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from doojax.experiments.records import Event, Look, TrialRecord
 from doojax.experiments.regrasping.choice import Method, choose, listing
 from doojax.experiments.regrasping.control import PERIOD, PRESETS, controller
 from doojax.experiments.regrasping.planner import PlannerSettings, Plans, signature_now
 from doojax.experiments.regrasping.world import Executed, World, as_jax
-from doojax.experiments.trial_replay import first_state
+from doojax.experiments.trials.records import Event, Look, TrialRecord
+from doojax.experiments.trials.replay import first_state
 from doojax.keys import numbered, stream
 from doojax.planning.regrasp import Strategy
 from doojax.planning.traps import TrapSettings, regrasped, seen, watched

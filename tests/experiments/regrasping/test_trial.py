@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from doojax.experiments.records import load_record, save_record
 from doojax.experiments.regrasping.figures import rows_of
 from doojax.experiments.regrasping.trial import RegraspSettings, run_trial
 from doojax.experiments.regrasping.world import Executed, World, as_jax, repeated
+from doojax.experiments.trials.record_files import load_record, save_record
 from doojax.simulation.grasps import grasped
 from doojax.tasks.arms import BASE
 from tests.experiments.regrasping import scenes
