@@ -90,6 +90,10 @@ COMMANDS: Commands = {
         "doojax.experiments.regrasping.command:regrasp",
         "two arms bring a fastened rope's end to a place, regrasping as they do",
     ),
+    "online": (
+        "doojax.experiments.online.command:online",
+        "learn from one's own trials, again and again, and measure",
+    ),
     "compare": (
         "doojax.experiments.reports.compare:compare",
         "tables, a figure and paired tests of an evaluation",

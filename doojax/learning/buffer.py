@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 
 class Buffer(eqx.Module):
@@ -56,8 +56,19 @@ class Buffer(eqx.Module):
         """C."""
         return self.weight.shape[0]
 
-    def added(self, examples: Any, weight: Float[Array, "n"] | None = None) -> "Buffer":
-        """The buffer with n more examples, of weight one each by default.
+    def added(
+        self,
+        examples: Any,
+        weight: Float[Array, "n"] | None = None,
+        *,
+        keep: Bool[Array, "n"] | None = None,
+    ) -> "Buffer":
+        """The buffer with n more examples.
+
+        Args:
+            examples: whose leaves have a leading axis n.
+            weight: of each; one by default.
+            keep: which of them are added; by default all. The others take no place, and shapes stay alike.
 
         Raises:
             ValueError: more examples than there are places.
@@ -65,14 +76,24 @@ class Buffer(eqx.Module):
         number = len(jax.tree.leaves(examples)[0])
         if number > self.capacity:
             raise ValueError(f"{number} examples are more than the buffer's {self.capacity} places")
-        places = (self.count + jnp.arange(number)) % self.capacity
         weight = jnp.ones(number) if weight is None else weight
-        items = jax.tree.map(lambda old, new: old.at[places].set(new), self.items, examples)
-        return Buffer(items, self.weight.at[places].set(weight), self.count + number)
+        return _added(self, examples, weight, jnp.ones(number, dtype=bool) if keep is None else keep)
 
     def drawn(self, steps: int, batch_size: int, *, key: Array) -> Int[Array, "steps batch"]:
         """Places of examples for each of some batches, each as often as its weight says, with replacement."""
         return weighted(self.weight, steps, batch_size, key=key)
+
+
+@jax.jit
+def _added(buffer: Buffer, examples: Any, weight: Float[Array, "n"], keep: Bool[Array, "n"]) -> Buffer:
+    rank = jnp.cumsum(keep)
+    places = jnp.where(keep, (buffer.count + rank - 1) % buffer.capacity, buffer.capacity)
+
+    def put(old: Array, new: Array) -> Array:
+        return old.at[places].set(new, mode="drop")
+
+    items = jax.tree.map(put, buffer.items, examples)
+    return Buffer(items, put(buffer.weight, weight), buffer.count + rank[-1].astype(jnp.int32))
 
 
 def weighted(

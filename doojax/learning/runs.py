@@ -80,8 +80,12 @@ class RunDirectory:
             if not isinstance(epoch, int) or epoch < 0:
                 raise ValueError(f"{self.path / LAST} is damaged: delete it to train from the start")
             state = read_leaves(self.path / LAST, start)
-        write_whole(self.path / METRICS, "".join(f"{line}\n" for line in self._lines_until(epoch)))
+        self.forget_after(epoch)
         return epoch, state
+
+    def forget_after(self, epoch: int) -> None:
+        """Leave of what was logged the epochs up to one, as far as their lines are whole."""
+        write_whole(self.path / METRICS, "".join(f"{line}\n" for line in self._lines_until(epoch)))
 
     def _lines_until(self, epoch: int) -> Iterator[str]:
         """The lines of the epochs up to one, as far as they are whole."""

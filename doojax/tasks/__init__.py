@@ -3,6 +3,7 @@
 from doojax.tasks.base import Phase as Phase
 from doojax.tasks.base import Task as Task
 from doojax.tasks.dual_gripper import DualGripper as DualGripper
+from doojax.tasks.engine_bay import EngineBay as EngineBay
 from doojax.tasks.grippers import gripper_goal as gripper_goal
 from doojax.tasks.grippers import point_goal as point_goal
 from doojax.tasks.planar_pushing import PlanarPushing as PlanarPushing

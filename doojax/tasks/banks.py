@@ -54,7 +54,8 @@ def save(scene: Scene, bank: "RopeBank") -> None:
 
 if __name__ == "__main__":
     from doojax.tasks.dual_gripper import DualGripper
+    from doojax.tasks.engine_bay import EngineBay
     from doojax.tasks.rope_dragging import RopeDragging
 
-    for task in (RopeDragging(), DualGripper()):
+    for task in (RopeDragging(), DualGripper(), EngineBay()):
         save(task.scene, task.settled())

@@ -3,13 +3,11 @@
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from doojax.actions import first_valid
-from doojax.geometry.frames import exact_product
 from doojax.geometry.sdf import signed_distance
 from doojax.goals import Goal
 from doojax.simulation.rope import RopeModel, RopeParameters
@@ -39,7 +37,6 @@ MAX_GAP = {
 }  # m between the grippers
 MAX_ACTION = 0.10  # m, each gripper
 BANK = 128
-SETTLE_PERIODS = 4
 
 
 def default_scene(crowd: int = 1) -> Scene:
@@ -123,21 +120,12 @@ class DualGripper(RopeTask):
 
     def settled(self):
         """Ropes of the task's scene, simulated until they rest."""
-        from doojax.tasks.starts import settle_bank, straight_qpos
+        from doojax.tasks.starts import hung_bank
 
-        # from taut and straight, bring the ends together to a gap of 0.15 to 0.70 m, then let the rope settle
         rng = np.random.default_rng(0)
         low, high = (0.15, MAX_GAP["unconstrained"])
         gap, tilt = rng.uniform(low, high, BANK), rng.uniform(-0.5, 0.5, BANK)
-        half = gap / 2
-        end = np.stack([half * np.cos(tilt), np.zeros(BANK), half * np.sin(tilt)], -1)
-        target = np.stack([-end, end], 1)
-        start = np.array([[-LENGTH / 2, 0, 0], [LENGTH / 2, 0, 0]])
-        speed = self.scene.grippers[0].max_speed * self.scene.control_period
-        moves = int(np.ceil(np.abs(target - start).max() * 1.5 / speed))
-        step = (target - start)[:, None] / moves
-        actions = np.concatenate([np.repeat(step, moves, 1), np.zeros((BANK, SETTLE_PERIODS, 2, 3))], axis=1)
-        return settle_bank(self.scene, np.tile(straight_qpos(self.scene, 1.0), (BANK, 1)), actions)
+        return hung_bank(self.scene, gap, tilt)
 
     def start(self):
         """The function that draws a start from a key."""
@@ -175,15 +163,9 @@ def _box(size: tuple[float, float, float], offset: tuple[float, float, float] = 
 
 def _place_rope(reach: Box, key: Array, points: Float[Array, "P 3"]) -> tuple[Array, Array]:
     """Turn a rope any way and move it so that both grippers are in reach and the rope is above the table."""
-    yaw_key, position_key = jax.random.split(key)
-    yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
-    cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-    turned = exact_product(points, jnp.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
-    grippers = turned[-2:]
-    low = jnp.array(reach.low) - grippers.min(0)
-    high = jnp.array(reach.high) - grippers.max(0)
-    low = low.at[2].max(TABLE_TOP + 2 * RADIUS - turned[:, 2].min())
-    return jax.random.uniform(position_key, (3,), minval=low, maxval=jnp.maximum(high, low)), yaw
+    from doojax.tasks.starts import placed_within
+
+    return placed_within(reach, TABLE_TOP + 2 * RADIUS, key, points)
 
 
 def _placements(crowd: int):

@@ -16,6 +16,7 @@ from typing import Any
 
 from doojax.tasks.base import Phase, Task, check_phase
 from doojax.tasks.dual_gripper import DualGripper
+from doojax.tasks.engine_bay import EngineBay
 from doojax.tasks.planar_pushing import PlanarPushing
 from doojax.tasks.rope_dragging import RopeDragging
 from doojax.tasks.toy import Toy
@@ -29,6 +30,7 @@ TASKS: MappingProxyType[str, Factory] = MappingProxyType(
     {
         "rope_dragging": RopeDragging.of,
         "dual_gripper": DualGripper.of,
+        "engine_bay": EngineBay.of,
         "planar_pushing": PlanarPushing.of,
         "toy": Toy.of,
     }
@@ -80,7 +82,8 @@ def make_task(name: str, *, phase: Phase = "constrained", crowd: int = 1) -> Tas
     """The task called ``name``.
 
     Args:
-        name: rope_dragging, dual_gripper, planar_pushing, toy, or a task that a package or `register` adds.
+        name: rope_dragging, dual_gripper, engine_bay, planar_pushing, toy, or a task that a package or
+            `register` adds.
         phase: unconstrained (nothing in the way) or constrained (everything that can be).
         crowd: how many times as many obstacles as usual; walls and tables are not multiplied.
 

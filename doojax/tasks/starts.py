@@ -13,7 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from doojax.geometry.frames import quaternion_from_yaw, quaternion_yaw, rotate
+from doojax.geometry.box import Box
+from doojax.geometry.frames import (
+    exact_product,
+    quaternion_from_yaw,
+    quaternion_multiply,
+    quaternion_yaw,
+    rotate,
+)
 from doojax.geometry.sdf import signed_distance
 from doojax.modules import Jittable
 from doojax.simulation.layout import moved as moved_parts
@@ -24,6 +31,7 @@ from doojax.types import Obstacles, ShapeKind
 
 CLEARANCE = 0.01  # m between the rope or a gripper and any obstacle at the start
 PLACEMENTS = 64  # tried for each obstacle
+SETTLE_PERIODS = 4  # in which a rope that hangs from two hands comes to rest
 
 
 class Placements(eqx.Module):
@@ -32,13 +40,18 @@ class Placements(eqx.Module):
     low: Float[Array, "B 3"]  # of positions, world frame, m
     high: Float[Array, "B 3"]
     yaw: Float[Array, "B 2"]  # least and greatest, rad
+    upright: Float[Array, "B 4"] | None = (
+        None  # quaternions before those turns; by default they stand as made
+    )
 
     def draw(self, key: Array) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
         """A position (m) and quaternion (w, x, y, z) of one obstacle, whose row these ranges are."""
         position_key, yaw_key = jax.random.split(key)
         place = jax.random.uniform(position_key, (2,), minval=self.low[:2], maxval=self.high[:2])
         yaw = jax.random.uniform(yaw_key, minval=self.yaw[0], maxval=self.yaw[1])
-        return jnp.append(place, self.low[2]), quaternion_from_yaw(yaw)
+        turn = quaternion_from_yaw(yaw)
+        turn = turn if self.upright is None else quaternion_multiply(turn, self.upright)
+        return jnp.append(place, self.low[2]), turn
 
 
 class RopeBank(eqx.Module):
@@ -168,6 +181,46 @@ def settle_bank(
         points=jnp.concatenate([jnp.asarray(points), jnp.asarray(seen.hands)], axis=1),
         radius=jnp.array(radius),
     )
+
+
+def hung_bank(scene: Scene, gap: Float[np.ndarray, "K"], tilt: Float[np.ndarray, "K"]) -> RopeBank:
+    """K ropes that hang from two hands which hold their ends, along x.
+
+    From taut and straight the hands bring the ends together, then the rope settles.
+
+    Args:
+        scene: with two hands at a rope's ends.
+        gap: between the hands, m.
+        tilt: of the way from one hand to the other, rad.
+    """
+    length, half = scene.rope_part.parameters.length, gap / 2
+    end = np.stack([half * np.cos(tilt), np.zeros(len(gap)), half * np.sin(tilt)], -1)
+    target = np.stack([-end, end], 1)
+    start = np.array([[-length / 2, 0, 0], [length / 2, 0, 0]])
+    speed = scene.grippers[0].max_speed * scene.control_period
+    moves = int(np.ceil(np.abs(target - start).max() * 1.5 / speed))
+    step = (target - start)[:, None] / moves
+    still = np.zeros((len(gap), SETTLE_PERIODS, 2, 3))
+    actions = np.concatenate([np.repeat(step, moves, 1), still], axis=1)
+    return settle_bank(scene, np.tile(straight_qpos(scene, 1.0), (len(gap), 1)), actions)
+
+
+def placed_within(
+    reach: Box, lowest: float, key: Array, points: Float[Array, "P 3"]
+) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+    """A move and a turn (rad) by which a hung rope's two hands, its last points, get somewhere in ``reach``.
+
+    Any yaw; no point gets below ``lowest`` (m).
+    """
+    yaw_key, position_key = jax.random.split(key)
+    yaw = jax.random.uniform(yaw_key, minval=-jnp.pi, maxval=jnp.pi)
+    cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
+    turned = exact_product(points, jnp.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
+    grippers = turned[-2:]
+    low = jnp.array(reach.low) - grippers.min(0)
+    high = jnp.array(reach.high) - grippers.max(0)
+    low = low.at[2].max(lowest - turned[:, 2].min())
+    return jax.random.uniform(position_key, (3,), minval=low, maxval=jnp.maximum(high, low)), yaw
 
 
 def resting(scene: Scene, qpos: Float[np.ndarray, "K nq"]) -> SimState:

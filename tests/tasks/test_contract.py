@@ -90,12 +90,13 @@ def test_goals_are_clear_of_obstacles(task, collected):
     assert float(jax.vmap(signed_distance)(obstacles, goals.targets).min()) >= task.goal_threshold - 1e-6
 
 
-def test_a_sampled_goal_is_for_the_tasks_own_point(task, collected):
+def test_a_sampled_goal_is_for_the_tasks_own_points(task, collected):
     simulator, start, seen, _ = collected
     obstacles = simulator.obstacles(jax.tree.map(lambda leaf: leaf[0], start))
     goal = task.sample_goal(jax.random.key(6), obstacles)
     state = jax.tree.map(lambda leaf: leaf[0, -1], seen.states)
-    missing = jnp.linalg.norm(state.points[task.goal_point] - goal.targets[0])
+    own = {"engine_bay": range(7, 18)}.get(task.name, [task.goal_point])
+    missing = min(jnp.linalg.norm(state.points[point] - goal.targets[0]) for point in own)
     assert float(goal.distance(state)) == pytest.approx(float(missing), rel=1e-6)
     assert float(goal.tolerance) == pytest.approx(task.goal_threshold)
 

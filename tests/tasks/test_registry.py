@@ -39,7 +39,8 @@ def test_a_task_of_an_installed_package_is_found_by_name(package):
     task = make_task(package, phase="unconstrained", crowd=2)
     assert (task.name, task.phase, len(task.scene.obstacles)) == ("elsewhere", "unconstrained", 2)
     with pytest.raises(
-        ValueError, match="expected one of rope_dragging, dual_gripper, planar_pushing, toy, elsewhere"
+        ValueError,
+        match="expected one of rope_dragging, dual_gripper, engine_bay, planar_pushing, toy, elsewhere",
     ):
         make_task("knots")
     with pytest.raises(ValueError, match="'misnamed' calls itself 'elsewhere'"):

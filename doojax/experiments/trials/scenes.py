@@ -33,6 +33,7 @@ from doojax.tasks.ropes import OWN, OtherRope, carrying, with_rope
 VERSION = 2  # raise it when scenes of the same seed become others
 FOLDER = Path(__file__).parents[1] / "scene_sets"
 SCENES = 150
+PURPOSE = "scenes"  # of trials
 DRAWN = 64  # scenes at once
 MOST_DRAWN = 100  # for each that is wanted
 Difficulty = Literal["easy", "narrow", "dense"]
@@ -60,11 +61,14 @@ class SceneSet:
     difficulty: Difficulty = "easy"
     caught: bool = False  # does every scene start where an obstacle holds the rope or a gripper back?
     rope: OtherRope = OWN  # what differs from the task's own; the starts carry it
+    purpose: str = PURPOSE  # what they are for: the first name of their random stream
+    fixed: bool = False  # does every scene start at the task's fixed start?
 
     @property
     def stream(self) -> str:
         """The name of the random stream that they come from."""
-        return "/".join(stream_names(self.task, self.difficulty, self.caught))
+        names = stream_names(self.task, self.difficulty, self.caught, self.purpose, self.fixed)
+        return "/".join(names)
 
     @property
     def crowd(self) -> int:
@@ -87,6 +91,7 @@ class SceneHeader:
     rule: str = ""
     caught: bool = False
     rope: OtherRope = OWN
+    fixed: bool = False
 
 
 def scenes(
@@ -97,28 +102,34 @@ def scenes(
     seed: int = 0,
     difficulty: Difficulty = "easy",
     caught: bool = False,
+    fixed: bool = False,
     rope: OtherRope = OWN,
     out: Path | None = None,
 ) -> None:
     """Draw a set of scenes for trials, write it to a file and print how hard they are.
 
     Args:
-        task: rope_dragging, dual_gripper or toy.
+        task: rope_dragging, dual_gripper, engine_bay or toy.
         count: how many scenes.
         seed: of everything that is random.
         difficulty: easy (an obstacle blocks the straight way), narrow (and no way is wider than three ropes)
             or dense (and there are twice as many obstacles).
         caught: start where random actions have led, and an obstacle holds the rope or a gripper back: scenes
             in which recoveries are needed.
+        fixed: start at the task's own fixed start, with its own goals: engine_bay has one.
         rope: what of the rope differs from the task's own, in all scenes.
         out: the file, ending in .scenes; by default TASK.scenes, or TASK_DIFFICULTY.scenes, in this folder.
 
     Raises:
-        ValueError: for an unknown task, a count below 1, a file of another kind, or if hard scenes are rare.
+        ValueError: for an unknown task, a count below 1, a file of another kind, a task without a fixed
+            start, or if hard scenes are rare.
     """
-    names = [task, *[difficulty][: difficulty != "easy"], *["caught"][:caught]]
+    names = [task, *[difficulty][: difficulty != "easy"], *["caught"][:caught], *["fixed"][:fixed]]
     out = out or Path(f"{'_'.join(names)}.scenes")
-    the_task = make_task(task, crowd=crowd_of(difficulty))
+    the_task: Any = make_task(task, crowd=crowd_of(difficulty))
+    if fixed and not hasattr(the_task, "starts"):
+        raise ValueError(f"{task} has no fixed start: leave --fixed out")
+    the_task = replace(the_task, starts="fixed") if fixed else the_task
     drawn = draw_scenes(with_rope(the_task, rope), count, seed, difficulty, caught=caught)
     drawn = replace(drawn, starts=carrying(the_task, drawn.starts, rope), rope=rope)
     save_scenes(out, drawn)
@@ -137,9 +148,11 @@ def rule(difficulty: Difficulty, caught: bool) -> str:
     return RULE + RULES[difficulty] + CAUGHT * caught
 
 
-def stream_names(task: str, difficulty: Difficulty, caught: bool) -> tuple[str, ...]:
+def stream_names(
+    task: str, difficulty: Difficulty, caught: bool, purpose: str = PURPOSE, fixed: bool = False
+) -> tuple[str, ...]:
     """The names of a set's random stream, see `doojax.keys.stream`."""
-    return ("scenes", task, difficulty, *["caught"][:caught])
+    return (purpose, task, difficulty, *["caught"][:caught], *["fixed"][:fixed])
 
 
 def crowd_of(difficulty: Difficulty) -> int:
@@ -156,7 +169,13 @@ def crowd_of(difficulty: Difficulty) -> int:
 
 
 def draw_scenes(
-    task: Task, count: int, seed: int, difficulty: Difficulty = "easy", *, caught: bool = False
+    task: Task,
+    count: int,
+    seed: int,
+    difficulty: Difficulty = "easy",
+    *,
+    caught: bool = False,
+    purpose: str = PURPOSE,
 ) -> SceneSet:
     """The first ``count`` scenes that obey the rule, of a sequence that depends on seed and rule alone.
 
@@ -166,6 +185,7 @@ def draw_scenes(
         seed: of everything that is random.
         difficulty: which rule.
         caught: start where an obstacle holds the rope or a gripper back.
+        purpose: the first name of their random stream; those of another are other scenes.
 
     Raises:
         ValueError: for a count below 1, an unknown difficulty, or where almost no scene obeys the rule.
@@ -176,7 +196,8 @@ def draw_scenes(
     simulator = task.simulator("mujoco")  # on every machine: where ropes get caught, engines differ
     reset = jax.jit(jax.vmap(simulator.reset))
     aim = jax.jit(jax.vmap(task.sample_goal))
-    root = stream(seed, *stream_names(task.name, difficulty, caught))
+    fixed = getattr(task, "starts", None) == "fixed"
+    root = stream(seed, *stream_names(task.name, difficulty, caught, purpose, fixed))
     radius = Look.of(task.scene).rope_radius
     widest = NARROW * radius if difficulty == "narrow" else np.inf
     parts: list[Any] = []
@@ -202,7 +223,7 @@ def draw_scenes(
         parts.append(jax.tree.map(lambda leaf, h=hard: np.asarray(leaf)[h], (starts, goals, sizes)))
         found, drawn = found + int(hard.sum()), drawn + DRAWN
     starts, goals, sizes = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
-    return SceneSet(task.name, seed, starts, goals, sizes, difficulty, caught)
+    return SceneSet(task.name, seed, starts, goals, sizes, difficulty, caught, purpose=purpose, fixed=fixed)
 
 
 def save_scenes(path: Path, scenes: SceneSet) -> None:
@@ -218,6 +239,7 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
         "stream": scenes.stream,
         "difficulty": scenes.difficulty,
         "caught": scenes.caught,
+        **({"fixed": True} if scenes.fixed else {}),
         "rope": scenes.rope.given,
     }
     header |= {"rule": rule(scenes.difficulty, scenes.caught)}
@@ -286,6 +308,8 @@ def load_scenes(path: Path) -> SceneSet:
         difficulty=header.difficulty,
         caught=header.caught,
         rope=header.rope,
+        purpose=header.stream.split("/")[0],
+        fixed=header.fixed,
     )
 
 

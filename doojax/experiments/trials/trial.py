@@ -89,6 +89,7 @@ class Trials(NamedTuple):
     numbers: Sequence[int]  # with the seed, they say what is random in each trial
     seed: int = 0
     wanted: Sequence[bool] | None = None  # by default all are; the others fill up the batch and end at once
+    purpose: str = "trials"  # what for: the random stream's name
 
 
 class Moves(NamedTuple):
@@ -127,7 +128,7 @@ def run_trials(
     planner = Rrt(method.dynamics, method.reliability, task, planning)
     states, goals = trials.starts, trials.goals
     obstacles = jax.vmap(simulator.obstacles)(states)
-    keys = numbered(stream(trials.seed, "trials"), np.asarray(trials.numbers, np.uint32))
+    keys = numbered(stream(trials.seed, trials.purpose), np.asarray(trials.numbers, np.uint32))
     seen = observed(simulator, states)
     logs = [Log([bodies], seen.passive) for bodies in np.asarray(seen.bodies())]
     count, nothing = seen.bodies().shape[1], nothing_of(task.actions)

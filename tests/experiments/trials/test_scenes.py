@@ -153,6 +153,17 @@ def test_a_dense_set_is_read_as_one_and_evaluated_with_its_obstacles(tmp_path):
     assert record.obstacles.kind.shape == (2,)
 
 
+def test_scenes_of_another_purpose_or_start_come_from_other_streams(tmp_path):
+    mine, other = scenes.draw_scenes(TOY, 3, 3), scenes.draw_scenes(TOY, 3, 3, purpose="online")
+    assert (mine.stream, other.stream) == ("scenes/toy/easy", "online/toy/easy")
+    assert len(np.unique(np.concatenate([mine.starts.qpos, other.starts.qpos]), axis=0)) == 6
+    scenes.save_scenes(tmp_path / "a.scenes", other)
+    assert scenes.load_scenes(tmp_path / "a.scenes").stream == other.stream
+    assert scenes.stream_names("engine_bay", "easy", False, fixed=True)[-1] == "fixed"
+    with pytest.raises(ValueError, match="toy has no fixed start: leave --fixed out"):
+        scenes.scenes("toy", count=1, fixed=True, out=tmp_path / "b.scenes")
+
+
 def test_files_that_are_no_scenes_are_refused(tmp_path):
     np.savez(tmp_path / "other.npz", a=jnp.zeros(3))
     with pytest.raises(ValueError, match=r"other.npz is not a file of scenes \(KeyError"):

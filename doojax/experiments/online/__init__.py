@@ -1,0 +1,1 @@
+"""Learning from one's own trials: plan, execute, learn from what came of it, and again."""
