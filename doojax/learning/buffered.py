@@ -17,7 +17,7 @@ class Labelled(eqx.Module):
 
     transition: Transition  # [n]
     obstacles: Obstacles  # [n, M]
-    right: Bool[Array, "n"]
+    right: Bool[Array, "*n"]
 
 
 class BufferedClassifier(eqx.Module):

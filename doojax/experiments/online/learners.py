@@ -1,6 +1,6 @@
 """Who learns online: what a learner is asked for, and those that learn nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -13,7 +13,7 @@ class Lesson(NamedTuple):
     """What an iteration taught."""
 
     known: Any  # what the learner knows now
-    figures: dict[str, float]  # of the same names in every iteration
+    figures: Mapping[str, float]  # of the same names in every iteration
     told: tuple[str, ...] = ()  # what a user ought to hear
 
 
@@ -21,8 +21,15 @@ class Lesson(NamedTuple):
 class Learner(Protocol):
     """Learns from its own trials; what it knows is data, so that seeds and resumed runs share nothing."""
 
-    name: str
-    stationary: bool  # learns nothing: trying once is enough
+    @property
+    def name(self) -> str:
+        """The method's."""
+        ...
+
+    @property
+    def stationary(self) -> bool:
+        """Does it learn nothing? Then trying once is enough."""
+        ...
 
     def fresh(self, seed: int) -> Any:
         """What it knows before anything was tried."""

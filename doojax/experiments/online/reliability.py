@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from doojax.actions import nothing_of
 from doojax.augmentation import setting_of, usual
 from doojax.experiments.online.experience import Enrichment, enriched, executed, judged_by_outcome
 from doojax.experiments.online.learners import Lesson
@@ -27,7 +28,9 @@ from doojax.learning.provenance import SAW
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.models.protocols import Dynamics
 from doojax.planning.recovery import RandomRecovery
+from doojax.simulation.scenes import obstacles_at, parked_poses
 from doojax.tasks.base import Task
+from doojax.types import Transition
 
 
 @dataclass(frozen=True)
@@ -167,10 +170,6 @@ class ReliabilityLearner:
     def _blank(self) -> Labelled:
         """One example's shapes, with a leading axis."""
         state, scene = self.task.blank, self.task.scene
-        from doojax.actions import nothing_of
-        from doojax.simulation.scenes import obstacles_at, parked_poses
-        from doojax.types import Transition
-
         transition = Transition(state, nothing_of(self.task.actions), state, jnp.zeros(()))
         obstacles = obstacles_at(scene, *parked_poses(len(scene.obstacles)))
         one = Labelled(transition, obstacles, jnp.zeros((), dtype=bool))

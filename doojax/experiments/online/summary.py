@@ -111,12 +111,12 @@ def table_of(task: str, curves: list[Curve]) -> Table:
     table = Table(
         "method",
         "seeds",
-        "iterations",
-        "held out, before",
-        "held out, now",
-        "training, last 10",
-        "s an iteration",
-        title=task,
+        "after",
+        "at first",
+        "now",
+        "own trials",
+        "seconds",
+        title=f"{task}: goals reached in held-out scenes, and in own trials of {WINDOW} iterations",
     )
     for curve in curves:
         last = over_seeds(curve.held_out[:, -1], curve.trials)

@@ -18,6 +18,7 @@ def common(tmp_path_factory):
     return {"scenes": path, "evaluation_trials": 2, "planning": PLANNING, "budget": SETTINGS}
 
 
+@pytest.mark.slow
 def test_competitors_that_learn_nothing_are_measured_and_published_with_their_command(
     common, tmp_path, capsys
 ):
