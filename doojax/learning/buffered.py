@@ -11,6 +11,8 @@ from doojax.learning.buffer import Buffer, weighted
 from doojax.learning.reliability import AT_ONCE, cross_entropy
 from doojax.types import Obstacles, Transition
 
+MEASURED = 2048  # examples
+
 
 class Labelled(eqx.Module):
     """n predicted transitions, each with its scene and whether it was right."""
@@ -47,19 +49,21 @@ class BufferedClassifier(eqx.Module):
         return cross_entropy(logits, chosen.right).mean()
 
     def validate(self, model: Any, member: PyTree) -> dict[str, Float[Array, ""]]:
-        """Cross-entropy and accuracy on what is in the buffer, classes weighing alike."""
-        items: Labelled = self.buffer.items
-        logits = jax.lax.map(
-            lambda one: model.logit(one.obstacles, one.transition),
-            items,
-            batch_size=min(AT_ONCE, self.buffer.capacity),
-        )
-        weight = class_weights(self.buffer.weight, items.right)
-        share = weight / weight.sum()
+        """Cross-entropy and accuracy on examples from all over the buffer, classes weighing alike."""
+        rows = evenly(class_weights(self.buffer.weight, self.buffer.items.right), MEASURED)
+        some: Labelled = jax.tree.map(lambda leaf: leaf[rows], self.buffer.items)
+        logits = jax.lax.map(lambda one: model.logit(one.obstacles, one.transition), some, batch_size=AT_ONCE)
         return {
-            "loss": (share * cross_entropy(logits, items.right)).sum(),
-            "balanced_accuracy": (share * ((logits > 0) == items.right)).sum(),
+            "loss": cross_entropy(logits, some.right).mean(),
+            "balanced_accuracy": ((logits > 0) == some.right).mean(),
         }
+
+
+def evenly(weight: Float[Array, "n"], count: int) -> Int[Array, "{count}"]:
+    """Numbers of examples, each as often as its share of the weights says, without chance."""
+    total = jnp.cumsum(weight)
+    places = total[-1] * (jnp.arange(count) + 0.5) / count
+    return jnp.minimum(jnp.searchsorted(total, places, side="right"), len(weight) - 1)
 
 
 def class_weights(weight: Float[Array, "n"], right: Bool[Array, "n"]) -> Float[Array, "n"]:

@@ -21,7 +21,8 @@ def fixed():
     """The task with the rope held in front of the engine, on MuJoCo C, and its start."""
     task = EngineBay(starts="fixed")
     simulator = task.simulator("mujoco")
-    return task, simulator, jax.vmap(simulator.reset)(jax.random.split(jax.random.key(1), 2))
+    starts = [simulator.reset(jax.random.key(seed)) for seed in (1, 2)]
+    return task, simulator, jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
 
 
 @pytest.fixture(scope="module")

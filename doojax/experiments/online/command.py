@@ -10,6 +10,7 @@ from rich.console import Console
 from doojax.commands import command_line
 from doojax.datasets.progress import progress_bar
 from doojax.experiments.online.experience import Enrichment
+from doojax.experiments.online.focus import FocusLearner, FocusSettings
 from doojax.experiments.online.learners import Learner, Stationary
 from doojax.experiments.online.reliability import ReliabilityLearner, ReliabilitySettings
 from doojax.experiments.online.runner import Setting, run_seed
@@ -19,10 +20,11 @@ from doojax.experiments.reports.summary import publish_rows
 from doojax.experiments.trials.evaluate import with_other_rope
 from doojax.experiments.trials.methods import find_models, make_method, pretrained_models
 from doojax.experiments.trials.scenes import load_scenes, scene_file
-from doojax.experiments.trials.seen import check_unseen
+from doojax.experiments.trials.seen import check_unseen, warning_of
 from doojax.experiments.trials.trial import TrialSettings
 from doojax.files import file_digest
 from doojax.keys import check_seed
+from doojax.learning.adaptation import AdaptationMethod
 from doojax.learning.checkpoints import load_model, own_threshold
 from doojax.learning.provenance import SAW
 from doojax.planning import RrtSettings, require_reachable
@@ -38,11 +40,16 @@ RELIABILITY: dict[str, Enrichment] = {
     "classifier_augmented": "augmentation",
     "classifier_noise": "noise",
 }
+ADAPTED: dict[str, tuple[AdaptationMethod, bool]] = {  # how data are weighed, and is deviation estimated?
+    "focus": ("focus", True),
+    "all_data": ("all_data", True),
+    "all_data_no_mde": ("all_data", False),
+}
 STATIONARY = ("no_classifier", "collision_checker", "oracle")
-METHODS = (*RELIABILITY, *STATIONARY)
+METHODS = (*RELIABILITY, *ADAPTED, *STATIONARY)
 PLANNING = RrtSettings(random_accept=0.01)
 BUDGET = TrialSettings(searches=4, actions=100)
-LEARNING = ReliabilitySettings()
+LEARNING, ADAPTING = ReliabilitySettings(), FocusSettings()
 FIGURE = "success.png"
 
 
@@ -65,6 +72,7 @@ def online(
     planning: RrtSettings = PLANNING,
     budget: TrialSettings = BUDGET,
     learning: ReliabilitySettings = LEARNING,
+    adapting: FocusSettings = ADAPTING,
     publish: Path | None = None,
 ) -> None:
     """Learn from one's own trials, again and again, and measure success on scenes that are not learned from.
@@ -76,7 +84,8 @@ def online(
     Args:
         task: rope_dragging, dual_gripper, engine_bay or toy.
         methods: some of classifier (learns from nothing, dynamics stay), classifier_augmented (and from
-            augmentations of its examples), classifier_noise (and from noisy copies); and of those that learn
+            augmentations of its examples), classifier_noise (and from noisy copies); of focus, all_data,
+            all_data_no_mde, whose dynamics adapt to the rope that is executed; and of those that learn
             nothing and are evaluated once: no_classifier, collision_checker, oracle.
         out: the folder; new, empty, or the same experiment unfinished.
         iterations: of trials and learning, in all.
@@ -87,13 +96,14 @@ def online(
         scenes: held-out scenes: a file that doojax scenes wrote, or the name of a set that comes with doojax;
             by default the one named after the task.
         models: a folder with trained dynamics; by default those that come with doojax.
-        threshold: of the model error (m) below which a prediction counts as right; by default the one that
-            was found when the dynamics were trained.
+        threshold: of the model error (m) below which a prediction counts as right, or is to be for a plan to
+            use it; by default the one that was found when the dynamics were trained.
         rope: what of the rope differs from the task's own, in all scenes.
         engine: that executes: auto, mujoco, mjx or warp.
         planning: how a tree is grown.
         budget: when a trial ends.
         learning: how classifiers learn.
+        adapting: how dynamics adapt, and how the estimator of their deviation learns.
         publish: the folder of results whose summary.json gets the figures; by default they are only shown.
 
     Raises:
@@ -117,19 +127,22 @@ def online(
         held_out = with_other_rope(held_out, the_task, rope)
     found = find_models(models, task) if models else pretrained_models(task)
     found = {kind: file for kind, file in found.items() if kind == "dynamics"}
-    check_unseen(held_out.stream, held_out.seed, found)
+    warning = warning_of(check_unseen(held_out.stream, held_out.seed, found), "what it begins with")
     simulator = the_task.simulator(engine)
     require_reachable(the_task, jax.vmap(simulator.obstacles)(held_out.starts), held_out.goals)
     learners = [
-        _learner(name, the_task, simulator, found, threshold, budget, learning)
+        _learner(name, the_task, simulator, found, threshold, budget, learning, adapting)
         for name in dict.fromkeys(methods)
     ]
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    if warning:
+        console.print(warning, style="yellow")
     for learner in learners:
         about: dict[str, Any] = {"engine": engine, "scenes": file_digest(path)[:16]}
         about["models"] = {kind: file_digest(file)[:16] for kind, file in found.items()}
         if not learner.stationary:
-            about |= {"learning": asdict(learning), "threshold": threshold}
+            own = adapting if learner.name in ADAPTED else learning
+            about |= {"learning": asdict(own), "threshold": threshold}
         saw = tuple(load_model(file)[1].about.get(SAW, []) for file in found.values())
         setting = Setting(
             task=the_task,
@@ -189,7 +202,8 @@ def _learner(
     models: dict[str, Path],
     threshold: float | None,
     budget: TrialSettings,
-    settings: ReliabilitySettings,
+    learning: ReliabilitySettings,
+    adapting: FocusSettings,
 ) -> Learner:
     """The learner called ``name``."""
     if name in STATIONARY:
@@ -197,11 +211,16 @@ def _learner(
         return Stationary(replace(planned, recovery=RandomRecovery()))
     if "dynamics" not in models:
         raise ValueError(
-            f"{name} learns where dynamics hold, and there are none for {task.name}: train them with doojax "
-            "train dynamics, and name their folder by --models"
+            f"{name} begins with trained dynamics, and there are none for {task.name}: train them with "
+            "doojax train dynamics, and name their folder by --models"
         )
     dynamics, header = load_model(models["dynamics"], task=task.name, kind="dynamics")
     error = own_threshold(header, models["dynamics"]) if threshold is None else threshold
     if not error > 0:
         raise ValueError(f"threshold is {threshold}, expected a positive length (m)")
-    return ReliabilityLearner(name, task, dynamics, error, budget.actions, RELIABILITY[name], settings)
+    if name in ADAPTED:
+        weighing, estimated = ADAPTED[name]
+        gamma = own_threshold(header, models["dynamics"])
+        config = dict(header.config)
+        return FocusLearner(name, task, dynamics, config, gamma, error, weighing, estimated, adapting)
+    return ReliabilityLearner(name, task, dynamics, error, budget.actions, RELIABILITY[name], learning)

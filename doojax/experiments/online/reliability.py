@@ -40,7 +40,7 @@ class ReliabilitySettings:
     steps: int = 200  # of the optimiser, in each iteration
     batch_size: int = 64
     learning_rate: float = 1e-3  # of Adam, which begins anew in each iteration
-    capacity: int = 32_768  # examples kept; then the oldest go
+    capacity: int = 16_384  # examples kept; then the oldest go
     attempts: int = 512  # augmentations, or noisy copies, tried of each trial's examples
     start_every: int = 2  # states of a trial, from which predictions begin that are labelled
     horizon: int = 10  # steps that they go on for

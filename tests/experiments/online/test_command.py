@@ -43,7 +43,9 @@ def test_what_cannot_be_run_is_refused(common, tmp_path):
         ValueError, match="methods are clasifier, expected some of classifier, classifier_aug"
     ):
         run(methods=("clasifier",))
-    with pytest.raises(ValueError, match="classifier learns where dynamics hold, and there are none for toy"):
+    with pytest.raises(
+        ValueError, match="classifier begins with trained dynamics, and there are none for toy"
+    ):
         run()
     with pytest.raises(ValueError, match="iterations is 0, expected at least 1"):
         run(iterations=0)

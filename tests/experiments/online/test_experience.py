@@ -9,44 +9,15 @@ import pytest
 
 from doojax.experiments.online.experience import executed, judged_by_outcome, trajectory_of
 from doojax.experiments.online.reliability import ReliabilitySettings
-from doojax.experiments.trials.records import Look, TrialRecord
 from doojax.geometry.sdf import signed_distance
 from doojax.learning.buffer import Buffer
-from doojax.learning.buffered import class_weights
+from doojax.learning.buffered import class_weights, evenly
 from doojax.learning.fit import member
 from doojax.learning.labels import LabelConfig
-from doojax.tasks.toy import HEIGHT, LINKS, PITCH
 from tests.experiments.trials.toy_trials import SETTINGS, SIMULATOR, TOY
-from tests.planning.problems import Towed, walls
+from tests.planning.problems import Towed
 
-from .toy_online import ERROR, SMALL, learner
-
-START, STEP = -0.2, 0.05  # m
-
-
-def record(steps: int, *, stops_after: int | None = None, away: float = 0.0) -> TrialRecord:
-    """A hand that goes along x, with a straight rope behind it, until it stops; actions go on."""
-    way = np.minimum(np.arange(steps + 1), steps if stops_after is None else stops_after)
-    hand = np.stack([START + STEP * way, np.full(steps + 1, away), np.full(steps + 1, HEIGHT)], -1)
-    behind = np.stack([np.arange(LINKS - 1, -1, -1.0) * PITCH, *np.zeros((2, LINKS))], -1)
-    points = (hand[:, None] - behind[None]).astype(np.float32)
-    actions = np.tile(np.array([STEP, 0, 0], np.float32), (steps, 1, 1))
-    return TrialRecord(
-        task="toy",
-        method="none",
-        seed=0,
-        look=Look(0.01),
-        obstacles=walls(),
-        goal=np.zeros(3),
-        goal_radius=0.05,
-        goal_point=0,
-        points=points,
-        grippers=points[:, -1:],
-        plans=(),
-        events=(),
-        reached=False,
-        replay={"actions": actions},
-    )
+from .toy_online import ERROR, SMALL, START, STEP, learner, record
 
 
 def test_what_was_as_predicted_is_right_and_what_was_not_is_wrong():
@@ -100,7 +71,7 @@ def lesson(records, enrichment="none", settings=SMALL):
 )
 def test_data_of_one_class_are_told_and_learned(records, only, none, accepted):
     """A classifier that has only seen what goes well accepts the like, and the other way round."""
-    known, figures, told = lesson(records, settings=replace(SMALL, steps=100, learning_rate=1e-2))
+    known, figures, told = lesson(records)
     assert f"were {only}, none {none}" in told[-1]
     assert figures[f"new_{none}"] == 0 < figures[f"new_{only}"] == figures["examples"]
     (trajectory,) = executed(records)
@@ -127,7 +98,7 @@ def test_examples_that_are_made_keep_labels_and_what_touches_what():
         states = some.transition.state
         return np.asarray(jax.vmap(signed_distance)(some.obstacles, states.points)).min(1)
 
-    assert nearest(made).min() > nearest(own).min() - 0.056  # the tolerance of their distance
+    assert nearest(own).min() > 0.1 and nearest(made).min() > 0.01  # the rope's radius: nothing is touched
     for wrong in (True, False):
         lengths = np.linalg.norm(np.asarray(made.transition.action)[np.asarray(made.right) != wrong], axis=-1)
         assert lengths == pytest.approx(STEP, abs=1e-5)
@@ -157,6 +128,10 @@ def test_classes_count_alike_and_one_that_is_alone_counts_all():
     weight = jnp.array([1.0, 1.0, 2.0, 1.0, 0.0])
     assert class_weights(weight, right).tolist() == pytest.approx([0.25, 0.25, 0.5, 1.0, 0.0])
     assert class_weights(weight, jnp.ones(5, dtype=bool)).tolist() == pytest.approx([0.2, 0.2, 0.4, 0.2, 0.0])
+
+
+def test_examples_are_measured_as_often_as_they_weigh():
+    assert np.bincount(evenly(jnp.array([1.0, 0.0, 2.0, 1.0]), 8), minlength=4).tolist() == [2, 0, 4, 2]
 
 
 def test_a_buffer_takes_what_is_to_be_kept_and_no_place_for_the_rest():

@@ -1,6 +1,7 @@
 """Iterations of trials and learning: what is kept, what is gone on with, what is held out."""
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -11,16 +12,27 @@ from doojax.experiments.online.learners import Stationary
 from doojax.experiments.online.reliability import ReliabilityLearner
 from doojax.experiments.online.runner import PURPOSE, evaluations, run_seed, training_scenes
 from doojax.experiments.online.summary import read_curves, rows_of, table_of
+from doojax.experiments.trials.evaluate import attempted
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.scenes import draw_scenes, load_scenes, save_scenes
 from doojax.learning.checkpoints import load_model
+from doojax.learning.fit import member
 from doojax.learning.provenance import saw_scenes
 from doojax.learning.runs import RunDirectory
 from tests.experiments.trials.toy_trials import METHODS, TOY
 
-from .toy_online import held_out, learner, run, setting
+from .toy_online import held_out, learner, made_trials, run, setting
 
 ITERATIONS = 3
+ATTEMPTED = "doojax.experiments.online.runner.attempted"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def trials_are_made():
+    """No search is compiled, but in the slow test."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(ATTEMPTED, made_trials)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +41,7 @@ def heard():
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory, heard):
+def whole(tmp_path_factory, heard, trials_are_made):
     """A run that nothing interrupted, laid out as the command does."""
     out = tmp_path_factory.mktemp("online") / "classifier" / "seed_0"
     return run(out, ITERATIONS, tell=heard.append)
@@ -62,15 +74,31 @@ def test_every_iteration_has_its_trials_its_model_and_its_line(whole, heard):
     assert any(text.startswith("iteration 3: success_training") for text in heard)
 
 
+class Killed(Exception):
+    pass
+
+
+def killed(self, folder, known, saw):
+    raise Killed
+
+
+@pytest.mark.slow
+def test_real_trials_go_on_to_the_same_bytes_and_learn_from_augmentations(tmp_path, monkeypatch):
+    monkeypatch.setattr(ATTEMPTED, attempted)
+    one, other = tmp_path / "one", tmp_path / "other"
+    run(one, ITERATIONS, learner("augmentation"))
+    with monkeypatch.context() as patched:
+        patched.setattr(ReliabilityLearner, "save", killed)
+        with pytest.raises(Killed):
+            run(other, ITERATIONS, learner("augmentation"))
+    run(other, ITERATIONS, learner("augmentation"))
+    assert contents(one) == contents(other)
+    lines = RunDirectory(one / "learning").metrics
+    assert all(line["new_made"] > 0 and line["new_right"] > 0 for line in lines)
+
+
 def test_killed_at_any_place_it_goes_on_to_the_same_bytes(whole, tmp_path, monkeypatch):
     """Twice: before a model is written, when the trials are there; and while a line is written."""
-
-    class Killed(Exception):
-        pass
-
-    def killed(self, folder, known, saw):
-        raise Killed
-
     out = tmp_path / "seed_0"
     run(out, 1)
     with monkeypatch.context() as patched:
@@ -118,7 +146,7 @@ def test_nobody_trains_on_held_out_scenes(whole, tmp_path):
 
 
 def test_who_learns_nothing_is_evaluated_once(tmp_path):
-    method = METHODS["no_classifier"]
+    method = replace(METHODS["no_classifier"], reliability=member(learner().fresh(0).models, 0))
     out = run(tmp_path / "no_classifier" / "seed_0", 5, Stationary(method))
     assert [one.iteration for one in evaluations(out)] == [0]
     assert not list(out.glob("iteration_*"))
@@ -151,7 +179,7 @@ def test_rows_say_what_the_records_say(whole):
 
 def test_an_iteration_without_a_plan_is_told_and_does_not_end_the_run(tmp_path, monkeypatch):
     """Nothing is found, nothing is executed, nothing learned; the next iteration goes on."""
-    monkeypatch.setattr("doojax.experiments.online.runner.attempted", unmoved)
+    monkeypatch.setattr(ATTEMPTED, unmoved)
     heard = []
     out = run(tmp_path / "out", 2, tell=heard.append)
     assert "iteration 1: nothing was executed, so there is nothing to learn from" in heard
@@ -164,10 +192,8 @@ def test_an_iteration_without_a_plan_is_told_and_does_not_end_the_run(tmp_path, 
 
 def unmoved(task, simulator, method, planning, budget, trials, keep_trees=False):
     """Trials in which no plan was found: the records end where they begin."""
-    from doojax.experiments.trials.trial import run_trials
-
-    count = len(trials.numbers)
-    return run_trials(task, simulator, method, planning, budget, trials._replace(wanted=[False] * count))
+    nobody = trials._replace(wanted=[False] * len(trials.numbers))
+    return made_trials(task, simulator, method, planning, budget, nobody)
 
 
 def test_seeds_begin_with_other_classifiers_and_a_seed_always_with_the_same():
