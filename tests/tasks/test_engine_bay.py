@@ -38,12 +38,13 @@ def test_boxes_stand_where_the_released_code_has_them(bay):
     assert len(centres) == 21 and bool(bay.active.all())
 
 
-def test_the_hood_leans_back_over_the_engine(bay):
-    """By 0.55 + 0.017 rad: its lower edge is nearer to the robot's side than its upper one."""
+def test_the_hood_leans_over_the_engine(bay):
+    """By 0.55 + 0.017 rad, its upper edge towards the robot, which stands at x = 0."""
     hood = np.linalg.norm(np.asarray(bay.centre) - np.array(HOOD), axis=-1).argmin()
     w, x, y, z = np.asarray(bay.quaternion[hood], float)
     up = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     assert np.degrees(np.arccos(up[2])) == pytest.approx(np.degrees(0.55 + 0.017), abs=0.1)
+    assert up[0] < -0.5
 
 
 def test_goals_lie_between_pallet_and_tabs(bay):
