@@ -10,6 +10,7 @@ from doojax.topology.grasp_loops import Grasps, signature
 from doojax.topology.signatures import Signature
 from doojax.topology.skeletons import Skeleton
 
+AFTER = 1e-5  # along the rope
 UNDERGROUND = -0.8  # m, below which the loop from the base to where a rope is fastened runs, as in the thesis
 
 
@@ -42,7 +43,9 @@ def grasps_of(
         rope=rope,
         base=jnp.zeros(3),
         gripper_paths=paths,
-        gripper_locations=jnp.where(holds, places, 0),
+        # a hand at the fastening comes after it along the rope: else its loop with the next hand would be one
+        # of the fastening's, and two hands that are linked with nothing would count as another signature
+        gripper_locations=jnp.where(holds, jnp.maximum(places, AFTER), 0),
         gripping=holds,
         attachment_paths=jnp.concatenate([under, below, fastened[None]])[None],
         attachment_locations=jnp.zeros(1),

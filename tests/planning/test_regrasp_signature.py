@@ -68,6 +68,17 @@ def test_the_other_arm_makes_a_loop_that_misses_the_first(vectors):
     assert vectors((NOTHING, 1.0), end=TOOLS[1]) == ((0, 0, 1, 0),)
 
 
+def test_a_second_hand_at_the_fastening_that_is_linked_with_nothing_changes_nothing():
+    rope = jnp.linspace(FASTENED_, TOOLS[1].astype(np.float32), 9)
+    nothing = make_skeleton({})
+
+    def vectors(places):
+        found = signatures_of(ROBOT, JOINTS[None], rope[None], jnp.array([places]), FASTENED_, nothing)
+        return jax.tree.map(lambda leaf: leaf[0], found).vectors
+
+    assert vectors((NOTHING, 1.0)) == vectors((0.0, 1.0)) == vectors((0.5, 1.0)) == ((),)
+
+
 def test_the_path_of_an_arm_begins_at_the_base_and_ends_at_its_tool():
     rope = jnp.linspace(FASTENED_, TOOLS[0].astype(np.float32), 5)
     grasps = grasps_of(ROBOT, JOINTS, rope, jnp.array([0.3, NOTHING]), FASTENED_)

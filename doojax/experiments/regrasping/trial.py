@@ -182,7 +182,8 @@ class Run:
         weights = np.asarray(report.weights)
         chosen = weights > 0  # others may have broken down, and cost NaN
         terms = {
-            name: float((weights * np.asarray(cost))[chosen].sum()) for name, cost in report.terms.items()
+            name: float((weights[chosen] * np.asarray(cost)[chosen]).sum())
+            for name, cost in report.terms.items()
         }
         control = np.asarray(nominal.controls[0])
         planned = time.perf_counter()
