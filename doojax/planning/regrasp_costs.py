@@ -7,7 +7,6 @@ the equation's inner product and the latest code have it; the code of the publis
 """
 
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Literal
 
 import jax.numpy as jnp
@@ -32,16 +31,6 @@ class RegraspWeights:
 
 
 WEIGHTS = RegraspWeights()
-TERMS = MappingProxyType(
-    {
-        "infeasible": "no collision-free motion, a fault, or nothing that changes",
-        "blocklist": "a signature that has been tried",
-        "goal_signature": "another signature than the goal's",
-        "geodesic": "far from the keypoint along the rope",
-        "robot": "joints' motion",
-        "rope": "the rope's motion",
-    }
-)
 
 
 def infeasible(feasible: Bool[Array, ""], weights: RegraspWeights = WEIGHTS) -> Float[Array, ""]:

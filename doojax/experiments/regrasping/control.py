@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from doojax.experiments.regrasping.world import World
+from doojax.experiments.regrasping.world import BROKEN, World
 from doojax.planning.costs import (
     THESIS_WEIGHTS,
     closeness,
@@ -112,7 +112,7 @@ class ArmCost(eqx.Module):
         return THESIS_WEIGHTS["contacts"] * jnp.minimum(closeness(near, NEAR), 4.0)
 
     def _unstable(self, one: Tried) -> Array:
-        return THESIS_WEIGHTS["unstable"] * unstable(one.faults & 3)
+        return THESIS_WEIGHTS["unstable"] * unstable(one.faults & BROKEN)
 
     def _torn(self, one: Tried) -> Array:
         rope = links_meet(one.seen.points, self.pitch)

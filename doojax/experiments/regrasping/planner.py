@@ -11,7 +11,6 @@ side by side, until the best has one. What a motion adds to the cost is positive
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -320,8 +319,3 @@ class Clock:
         now = time.perf_counter()
         self.seconds[name] = self.seconds.get(name, 0.0) + now - self._since
         self._since = now
-
-
-def as_json(value: Any) -> Any:
-    """Numbers for JSON, None for what is not finite."""
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -160,7 +160,7 @@ class Run:
                 nobody = np.isnan(self.world.places(execution.state)).all()
                 without = without + 1 if nobody and not changed else 0
                 if without >= GIVES_UP:
-                    return self._end(f"no candidate is feasible, {GIVES_UP} times in a row", False)
+                    return self._end(f"no grasp came of {GIVES_UP} plannings in a row", False)
         return self._end(f"the limit of {most} iterations is met", False)
 
     def _position(self) -> Float[np.ndarray, "D"]:

@@ -2,17 +2,16 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from doojax.robots import Robot
 from doojax.simulation.engines.mujoco import MujocoSimulator
 from doojax.simulation.grasps import grasp_places, grasped, released
 from doojax.simulation.parts.arms import LEAD
-from doojax.simulation.state import SimState
+from doojax.simulation.state import Fault, SimState
 from doojax.tasks.arms import BASE, ArmTask, Start, joint_addresses, rope_ends
 from doojax.topology.skeletons import Skeleton
 from doojax.types import Obstacles
@@ -26,6 +25,8 @@ ARRIVED = np.deg2rad(1.0)  # rad, of every joint from where it was sent
 LAG = 0.1  # rad, that a joint may be behind while others go on
 MOST_WAITED = 75  # control periods for each line, as in the thesis's code
 WAITING = 10  # control periods in which joints may still arrive
+
+BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)  # other faults are let pass
 
 
 class Seen(NamedTuple):
@@ -95,9 +96,6 @@ class World:
             if (points < RESTING[0] and joints < RESTING[1]) or faulty.all():
                 break
         return batch, faulty
-
-
-BROKEN = 3  # doojax.simulation.state.Fault.NOT_FINITE or UNSTABLE
 
 
 def stacked(states: list[SimState]) -> SimState:
@@ -225,16 +223,6 @@ def repeated(world: World, first: SimState, actions: Any, held: Any) -> Float[np
                 )
         execution.act(action)
     return np.stack(execution.ropes)
-
-
-def in_base(array: Array) -> Array:
-    """World to base, m."""
-    return array - jnp.array(BASE)
-
-
-def with_commanded_here(state: SimState, world: World) -> SimState:
-    """The state, its arms commanded to stay where they are."""
-    return eqx.tree_at(lambda s: s.commanded, state, state.qpos[world.scene.layout.driven])
 
 
 def joints_of(world: World, state: SimState) -> np.ndarray:
