@@ -72,9 +72,12 @@ def test_a_second_hand_at_the_fastening_that_is_linked_with_nothing_changes_noth
     rope = jnp.linspace(FASTENED_, TOOLS[1].astype(np.float32), 9)
     nothing = make_skeleton({})
 
+    @jax.jit
+    def compiled(places):
+        return signatures_of(ROBOT, JOINTS[None], rope[None], places, FASTENED_, nothing)
+
     def vectors(places):
-        found = signatures_of(ROBOT, JOINTS[None], rope[None], jnp.array([places]), FASTENED_, nothing)
-        return jax.tree.map(lambda leaf: leaf[0], found).vectors
+        return jax.tree.map(lambda leaf: leaf[0], compiled(jnp.array([places]))).vectors
 
     assert vectors((NOTHING, 1.0)) == vectors((0.0, 1.0)) == vectors((0.5, 1.0)) == ((),)
 
