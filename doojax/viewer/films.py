@@ -1,17 +1,24 @@
 """What can be shown moment by moment on any `Drawing`, without controls: for pictures and recordings."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from doojax.datasets import Dataset
 from doojax.experiments.drawing import Drawing
 from doojax.experiments.trials.records import PredictionRecord, TrialRecord, body_of
+from doojax.geometry.sdf import segment_signed_distance
+from doojax.types import Obstacles
 from doojax.viewer import colours
 from doojax.viewer.episodes import episode, episode_of, title
 from doojax.viewer.show import plan_at, show_episode, show_execution, show_plan, show_prediction
+
+FROM_SIDE = np.array([0.80, -0.50, 0.48]) / np.linalg.norm([0.80, -0.50, 0.48])
+OTHER_SIDE = FROM_SIDE * np.array([-1.0, 1.0, 1.0])
+SIGHT = 3.0  # m, of the lines along which something may stand in the way
 
 
 @dataclass(frozen=True)
@@ -26,6 +33,19 @@ class Film:
     period: float  # s between two states
     set_up: Callable[[Drawing], None]
     show: Callable[[Drawing, float], None]
+    seen_from: Float[np.ndarray, "3"] = field(default_factory=lambda: FROM_SIDE)  # where it is not planar
+
+
+def clear_side(points: Float[np.ndarray, "K 3"], obstacles: Obstacles) -> Float[np.ndarray, "3"]:
+    """From which of two sides more of some points is seen past the obstacles; the usual one of equals."""
+    if not obstacles.kind.shape[0]:
+        return FROM_SIDE
+    hidden = []
+    for side in (FROM_SIDE, OTHER_SIDE):
+        begin = jnp.asarray(points, jnp.float32)
+        ways = segment_signed_distance(obstacles, begin, begin + SIGHT * jnp.asarray(side, jnp.float32))
+        hidden.append(float((ways < 0).mean()))
+    return OTHER_SIDE if hidden[1] < hidden[0] else FROM_SIDE
 
 
 def film_of_trajectory(dataset: Dataset, index: int) -> Film:
@@ -78,6 +98,9 @@ def film_of_trial(record: TrialRecord) -> Film:
     nodes = [body_of(plan.points, plan.grippers, record.goal_point) for plan in record.plans]
     everything = np.concatenate([world.corners(), record.goal[None], *nodes]).astype(np.float32)
 
+    ends = np.concatenate([record.points[[0, -1]].reshape(-1, 3), record.goal[None]])
+    seen = ends[np.isfinite(ends).all(-1)]
+
     def set_up(drawing: Drawing) -> None:
         drawing.obstacles("obstacles", record.obstacles, colour=colours.OBSTACLE)
         drawing.text("goal label", "goal", record.goal + np.array([0, 0, 1.2 * record.goal_radius]))
@@ -97,4 +120,5 @@ def film_of_trial(record: TrialRecord) -> Film:
         period=record.period,
         set_up=set_up,
         show=show,
+        seen_from=clear_side(seen, record.obstacles),
     )

@@ -12,13 +12,13 @@ from PIL import Image, ImageDraw
 from doojax.datasets import Dataset
 from doojax.viewer import colours
 from doojax.viewer.episodes import Episode, episode, require_rope, title
+from doojax.viewer.films import FROM_SIDE as FROM_SIDE
 from doojax.viewer.films import Film
 from doojax.viewer.paint import Painting, Pixels, font
 from doojax.viewer.raycast import Camera
 from doojax.viewer.show import gripper_radius
 
 UP = np.array([0.0, 0.0, 1.0])
-FROM_SIDE = np.array([0.80, -0.50, 0.48]) / np.linalg.norm([0.80, -0.50, 0.48])
 MARGIN = 1.08  # of a picture's span to that of its contents
 GHOSTS = 5  # earlier states shown in a still picture
 SQUARE_PANEL, WIDE_PANEL = (300, 300), (380, 280)  # pixels
@@ -115,7 +115,7 @@ def frames(film: Film, moments: Sequence[float] | None = None) -> Iterator[Pixel
     """Pictures of a film at some moments (in states); by default, all that an animation needs."""
     last = film.states - 1
     wide, high = SQUARE_FRAME if film.planar else WIDE_FRAME
-    painting = painting_of(film.corners, film.floor, film.planar, wide, high)
+    painting = painting_of(film.corners, film.floor, film.planar, wide, high, film.seen_from)
     film.set_up(painting)
     painting.settle()
     for moment in np.linspace(0, last, last * BETWEEN_STATES + 1) if moments is None else moments:
@@ -124,14 +124,19 @@ def frames(film: Film, moments: Sequence[float] | None = None) -> Iterator[Pixel
 
 
 def painting_of(
-    corners: Float[np.ndarray, "K 3"], floor: float | None, planar: bool, width: int, height: int
+    corners: Float[np.ndarray, "K 3"],
+    floor: float | None,
+    planar: bool,
+    width: int,
+    height: int,
+    direction: Float[np.ndarray, "3"] = FROM_SIDE,
 ) -> Painting:
     """An empty picture around some points, from above if everything moves in a plane."""
     low, high = corners.min(0), corners.max(0)
     if floor is not None and low[2] > floor + FLOOR_REACH:
         floor = None
     camera = (
-        camera_above(corners, width, height) if planar else camera_from(FROM_SIDE, corners, width, height)
+        camera_above(corners, width, height) if planar else camera_from(direction, corners, width, height)
     )
     return Painting(camera, low, high, floor)
 

@@ -4,6 +4,7 @@ import re
 import subprocess
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from imageio import v3 as imageio
@@ -11,9 +12,11 @@ from imageio_ffmpeg import get_ffmpeg_exe
 
 from doojax.datasets import Dataset
 from doojax.experiments.trials.records import PlanRecord
+from doojax.types import Obstacles, ShapeKind
 from doojax.viewer import colours
 from doojax.viewer.columns import Columns, select
 from doojax.viewer.examples import write_dataset
+from doojax.viewer.films import FROM_SIDE, OTHER_SIDE, clear_side
 from doojax.viewer.page import start_server
 from doojax.viewer.pictures import contact_sheet
 from doojax.viewer.render import most_moving, render
@@ -38,6 +41,22 @@ def test_a_sheet_has_a_picture_for_each_trajectory(contents, tmp_path):
     ropes = orange(imageio.imread(tmp_path / "sheet.png"))
     half = ropes.shape[1] // 2
     assert ropes[:, :half].sum() > 200 and ropes[:, half:].sum() > 200
+
+
+@pytest.mark.parametrize(("x", "side"), [(0.4, OTHER_SIDE), (-0.4, FROM_SIDE)])
+def test_a_trial_is_seen_from_where_nothing_hides_it(x, side):
+    """A wall of a metre stands to one side of a rope."""
+    wall = Obstacles(
+        kind=jnp.array([ShapeKind.BOX]),
+        centre=jnp.array([[x, 0.0, 0.5]]),
+        quaternion=jnp.array([[1.0, 0.0, 0.0, 0.0]]),
+        half_size=jnp.array([[0.05, 2.0, 0.5]]),
+        active=jnp.array([True]),
+    )
+    rope = np.stack([np.zeros(5), np.linspace(-0.2, 0.2, 5), np.full(5, 0.1)], -1)
+    assert np.array_equal(clear_side(rope, wall), side)
+    parked = replace(wall, active=jnp.array([False]))
+    assert np.array_equal(clear_side(rope, parked), FROM_SIDE)
 
 
 def test_those_that_move_most_are_found(contents):
