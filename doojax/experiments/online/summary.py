@@ -17,7 +17,7 @@ from doojax.learning.runs import RunDirectory
 from doojax.reading import read_lines
 
 SEED = "seed_"  # and its number: the name of a seed's folder
-WINDOW = 10  # iterations, over which success in training is averaged for the figure
+WINDOW = 10  # iterations, over which success in training is averaged, or half as many as there are
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ def draw_success(out: Path, task: str, curves: list[Curve]) -> None:
             curve.evaluated, percent.mean(0), color=colour, marker="o", markersize=3, label=curve.method
         )
         mean = 100 * curve.training.mean(0)
-        width = min(WINDOW, len(mean))
+        width = min(WINDOW, -(-len(mean) // 2))
         if width:
             smooth = np.convolve(mean, np.ones(width) / width, mode="valid")
             axis.plot(np.arange(width, len(mean) + 1), smooth, color=colour, linestyle=":", linewidth=1)
@@ -157,6 +157,6 @@ def draw_success(out: Path, task: str, curves: list[Curve]) -> None:
     )
     axis.grid(alpha=0.3)
     axis.legend(
-        fontsize=8, loc="best", title="solid: held out; dotted: own trials, mean of 10", title_fontsize=7
+        fontsize=8, loc="best", title="solid: held out; dotted: own trials, running mean", title_fontsize=7
     )
     save_figure(figure, out)
