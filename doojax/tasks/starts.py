@@ -89,9 +89,8 @@ class RandomStart(Jittable):
     ) -> tuple[Float[Array, "B 3"], Float[Array, "B 4"], Bool[Array, ""]]:
         parked_position, parked_quaternion = (one[0] for one in parked_poses(1))
 
-        def place(given: tuple[Array, Placements, Obstacles]) -> tuple[Array, Array, Array]:
-            own_key, ranges, shapes = given
-            position, quaternion = jax.vmap(ranges.draw)(jax.random.split(own_key, PLACEMENTS))
+        def place(given: tuple[Array, Array, Obstacles]) -> tuple[Array, Array, Array]:
+            position, quaternion, shapes = given
 
             def clear(position, quaternion):
                 there = replace(
@@ -109,9 +108,12 @@ class RandomStart(Jittable):
                 any_is,
             )
 
+        def tried(own_key: Array, ranges: Placements) -> tuple[Array, Array]:
+            return jax.vmap(ranges.draw)(jax.random.split(own_key, PLACEMENTS))
+
+        drawn = jax.vmap(tried)(jax.random.split(key, len(self.scene.obstacles)), placements)
         # one after the other, because what is compiled is then one obstacle's
-        keys = jax.random.split(key, len(self.scene.obstacles))
-        positions, quaternions, placed = jax.lax.map(place, (keys, placements, shapes_of(self.scene)))
+        positions, quaternions, placed = jax.lax.map(place, (*drawn, shapes_of(self.scene)))
         return positions, quaternions, ~placed.all()
 
 

@@ -51,6 +51,7 @@ def measured(folder):
     return {row.metric: row.value for row in read_summary(folder / "summary.json").rows}
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_said_and_the_run_goes_on_when_there_is_room(data, tmp_path, monkeypatch):
     flush, full = files.flush, []
 

@@ -61,6 +61,7 @@ def test_a_rope_rests_on_a_box_on_a_table_as_on_c(on_c):
     np.testing.assert_allclose(on_mjx.clearance, on_c.clearance, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_contacts_for_which_there_is_no_room_are_a_fault():
     scene = planar_scene(
         substeps=50,

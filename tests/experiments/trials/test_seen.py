@@ -25,7 +25,13 @@ from .toy_trials import PLANNING, SETTINGS, SIMULATOR, TOY
 SCENES = {"stream": "scenes/toy/easy", "seed": 3}
 
 
-@pytest.mark.parametrize("name", sorted(set(TASKS) - {"planar_pushing"}))  # whose trials are not there
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name not in ("toy", "rope_dragging")))
+        for name in sorted(set(TASKS) - {"planar_pushing"})  # whose trials are not there
+    ],
+)
 @pytest.mark.parametrize("seed", [0, 2**32])
 def test_scenes_for_trials_are_no_scenes_of_a_collection(name, seed, tmp_path):
     """Whichever seed both have. 64 trajectories: as many as scenes are drawn at once, to find hard ones."""
