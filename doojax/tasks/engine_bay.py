@@ -5,7 +5,7 @@ the robot's frame, which stands 14.5 cm above the floor; everything here is in t
 lie as they do there: between the pallet and the tabs.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Literal
 
@@ -23,8 +23,10 @@ from doojax.geometry.frames import (
 )
 from doojax.geometry.sdf import signed_distance
 from doojax.goals import Goal
+from doojax.modules import Jittable
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings, obstacles_at
+from doojax.simulation.state import SimState, Start
 from doojax.tasks.base import Box, Phase, check_phase
 from doojax.tasks.grippers import GripperMoves, RopeTask, point_goal
 from doojax.tasks.ropes import OtherRope
@@ -117,6 +119,19 @@ def default_scene() -> Scene:
     )
 
 
+class BayStart(Jittable):
+    """Draws a start with everything of the bay where it stands."""
+
+    alone: Start  # the rope's, which keeps clear of it
+    position: Float[Array, "B 3"]  # m
+    quaternion: Float[Array, "B 4"]
+
+    def __call__(self, key: Array) -> SimState:
+        """A start."""
+        start = self.alone(key)
+        return replace(start, obstacle_position=self.position, obstacle_quaternion=self.quaternion)
+
+
 @dataclass(frozen=True)
 class EngineBay(RopeTask):
     """Two grippers in space; a point of the rope's middle is to come within 4.5 cm of a place under a tab.
@@ -181,12 +196,8 @@ class EngineBay(RopeTask):
         check_phase(self.phase)
         constrained = self.phase == "constrained"
         place = _held if self.starts == "fixed" else partial(_hung, self.scene if constrained else None)
-        return RandomStart(
-            self._bank,
-            scene=self.scene,
-            place_rope=place,
-            placements=_placements() if constrained else None,
-        )
+        alone = RandomStart(self._bank, scene=self.scene, place_rope=place, placements=None)
+        return BayStart(alone, *bay_poses()) if constrained else alone
 
     def simulator(self, engine: str = "auto"):
         """The scene on an engine; see `Task.simulator`."""
@@ -229,14 +240,6 @@ def _turned(x: float, y: float, z: float) -> Float[Array, "4"]:
 
 def _box(size: tuple[float, float, float], centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:
     return Shape(ShapeKind.BOX, (size[0] / 2, size[1] / 2, size[2] / 2), centre)
-
-
-def _placements():
-    """Everything where it stands."""
-    from doojax.tasks.starts import Placements
-
-    positions, quaternions = bay_poses()
-    return Placements(positions, positions, jnp.zeros((len(positions), 2)), quaternions)
 
 
 def _held(key: Array, points: Float[Array, "P 3"]) -> tuple[Float[Array, "3"], Float[Array, ""]]:

@@ -17,7 +17,6 @@ from doojax.geometry.box import Box
 from doojax.geometry.frames import (
     exact_product,
     quaternion_from_yaw,
-    quaternion_multiply,
     quaternion_yaw,
     rotate,
 )
@@ -40,18 +39,13 @@ class Placements(eqx.Module):
     low: Float[Array, "B 3"]  # of positions, world frame, m
     high: Float[Array, "B 3"]
     yaw: Float[Array, "B 2"]  # least and greatest, rad
-    upright: Float[Array, "B 4"] | None = (
-        None  # quaternions before those turns; by default they stand as made
-    )
 
     def draw(self, key: Array) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
         """A position (m) and quaternion (w, x, y, z) of one obstacle, whose row these ranges are."""
         position_key, yaw_key = jax.random.split(key)
         place = jax.random.uniform(position_key, (2,), minval=self.low[:2], maxval=self.high[:2])
         yaw = jax.random.uniform(yaw_key, minval=self.yaw[0], maxval=self.yaw[1])
-        turn = quaternion_from_yaw(yaw)
-        turn = turn if self.upright is None else quaternion_multiply(turn, self.upright)
-        return jnp.append(place, self.low[2]), turn
+        return jnp.append(place, self.low[2]), quaternion_from_yaw(yaw)
 
 
 class RopeBank(eqx.Module):
