@@ -209,7 +209,8 @@ def test_models_and_scenes_that_come_along_are_found_without_being_named(tmp_pat
             "rope_dragging", methods=("classifier",), out=out, trials=0, scenes=Path("rope_dragging_dense")
         )
     with pytest.raises(
-        FileNotFoundError, match=r"no file of scenes dual_griper.*come: dual_gripper, engine_bay, rope_d"
+        FileNotFoundError,
+        match=r"no file of scenes dual_griper.*come: dual_gripper, engine_bay, engine_bay_fixed, rope_d",
     ):
         evaluate("dual_gripper", methods=("classifier",), out=out, scenes=Path("dual_griper"))
     assert not out.exists()
