@@ -112,6 +112,7 @@ def test_the_classifier_knows_where_the_wall_is_and_nothing_else_does(runs, data
     assert blind["classifier_precision"] == pytest.approx(blind["right_fraction"])
 
 
+@pytest.mark.slow
 def test_deviations_are_known_better_than_by_their_median_and_bounded_as_promised(runs, data, tmp_path):
     options = {"data": data / "constrained", "dynamics": runs / "dynamics"}
     train(

@@ -150,14 +150,14 @@ def draw_weights(out: Path, seeds: Sequence[Measured], title: str) -> None:
     method = "focus" if "focus" in seeds[0].epochs else next(iter(seeds[0].epochs))
     epochs = seeds[0].epochs[method]
     chosen = np.unique(np.linspace(0, len(epochs) - 1, 20).astype(int))
-    centres = (np.arange(BINS) + 0.5) / BINS
+    edges = np.linspace(0, 1, BINS + 1)
     for place, number in reversed(list(enumerate(chosen))):
         share = [
             np.mean([_logged(one.epochs[method][number], f"weights_in_bin_{i}") for one in seeds])
             for i in range(BINS)
         ]
         base, colour = 0.1 * place, (place / len(chosen), 0.3, 1 - place / len(chosen))
-        left.fill_between(centres, base, base + np.array(share), color=colour, alpha=0.6, step="mid")
+        left.stairs(base + np.array(share), edges, baseline=base, fill=True, color=colour, alpha=0.6)
     left.set(xlabel="weight", ylabel="share of transitions, by epoch upwards", title=title, xlim=(0, 1))
     labels = [f"{number + 1}" for number in chosen[::4]]
     left.set_yticks([0.1 * place for place in range(0, len(chosen), 4)], labels)

@@ -22,7 +22,7 @@ from doojax.experiments.trials.recovery import recovery_rows
 from doojax.keys import check_seed, generator
 from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.data import Trajectories, load_split, open_dataset
-from doojax.learning.deviation import deviation_examples, deviations
+from doojax.learning.deviation import DeviationConfig, deviation_examples, deviations
 from doojax.learning.labels import Examples, LabelConfig, label
 from doojax.learning.metrics import Counts, auroc, counts, expected_calibration_error
 from doojax.learning.reliability import judged_kept, require_both_classes
@@ -143,9 +143,10 @@ def _deviation_rows(
 ) -> list[Row]:
     """Errors of predicted deviations and what their bounds keep, on what a plan could go on from."""
     limit = float(model.limit)
-    examples = deviation_examples(dynamics, test, horizon=header.about["horizon"], kept_below=limit)
+    horizon = header.about.get("horizon", DeviationConfig.horizon)
+    examples = deviation_examples(dynamics, test, horizon=horizon, kept_below=limit)
     predicted, true = deviations(model, examples), np.asarray(examples.deviation)
-    factors = {float(alpha): factor for alpha, factor in header.about["conformal_factors"].items()}
+    factors = {float(alpha): factor for alpha, factor in header.about.get("conformal_factors", {}).items()}
     figures = deviation_figures(predicted, true, np.asarray(examples.trajectory), factors)
     draw_deviation(picture, predicted, true, limit, f"{tags['task']}, deviation")
     return [*deviation_rows(figures, tags), row("limit_m", tags, limit, "m")]
