@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.figure import Figure
-from rich.table import Table
+from rich.table import Column, Table
 
 from doojax.experiments.online.runner import LEARNING, SECONDS, Seconds, evaluations
 from doojax.experiments.reports.rows import Row
@@ -108,8 +108,9 @@ def rows_of(task: str, curve: Curve) -> list[Row]:
 
 def table_of(task: str, curves: list[Curve]) -> Table:
     """One line a method: success at first and at last, and how long an iteration takes."""
+    name = Column("method", no_wrap=True, min_width=max(len(curve.method) for curve in curves))
     table = Table(
-        "method",
+        name,
         "seeds",
         "after",
         "at first",

@@ -122,7 +122,7 @@ class Plans:
                 return None
             if self.searched[order[0]]:
                 return int(order[0])
-            wanted = [row for row in order if self.feasible[row] and not self.searched[row]]
+            wanted = [int(row) for row in order if self.feasible[row] and not self.searched[row]]
             self._search(wanted[:SIDE_BY_SIDE])
             self._price()
 
