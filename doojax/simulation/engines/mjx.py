@@ -5,6 +5,7 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -47,7 +48,11 @@ class MjxSimulator(Jittable):
 
             made = warp_model(model), warp_data(scene, batch=1)
         else:
-            made = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
+            data = mjx.make_data(model, impl="jax")
+            if not (np.asarray(data._impl.contact.dim) > 1).any():
+                # where nothing can touch, cones make no difference, and MJX's elliptic ones fail
+                model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+            made = mjx.put_model(model, impl="jax"), data
         # not committed to the device, unlike what MJX gives, lest states on other devices do not fit them
         self.model, self.data = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), made)
 
