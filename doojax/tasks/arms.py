@@ -24,7 +24,16 @@ from doojax.robots.robot import Robot
 from doojax.simulation.grasps import graspable, grasped
 from doojax.simulation.laying import laid
 from doojax.simulation.layout import Observation
-from doojax.simulation.scenes import Arms, Obstacle, Scene, Shape, obstacles_at
+from doojax.simulation.rope import RopeModel, RopeParameters
+from doojax.simulation.scenes import (
+    Arms,
+    Attachment,
+    Obstacle,
+    Scene,
+    Shape,
+    SolverSettings,
+    obstacles_at,
+)
 from doojax.simulation.state import SimState, at_rest
 from doojax.topology.skeletons import Skeleton, make_skeleton
 from doojax.types import Obstacles, ShapeKind
@@ -36,6 +45,24 @@ MARGIN = 0.005  # m, that arms keep from what they must not touch at the start
 ATTEMPTS = 200
 SETTLING = 2.0  # s, in which the rope comes to rest: 500 steps, as in the thesis's code
 Boxes = dict[str, tuple[float, float, float]]
+
+
+def armed_scene(name: str, links: int, rope: RopeParameters, obstacles: tuple[Obstacle, ...]) -> Scene:
+    """Arms, and a rope of so many links whose beginning is fastened to the obstacle ``attach``."""
+    return Scene(
+        name=name,
+        rope_model=RopeModel("capsule_chain", links),
+        rope=rope,
+        grippers=(),
+        obstacles=obstacles,
+        timestep=TIMESTEP,
+        substeps=SUBSTEPS,
+        viscosity=1.0,
+        solver=SolverSettings(cone="pyramidal", contact_time=2 * TIMESTEP),
+        arms=ARMS,
+        grasps=True,
+        attachments=(Attachment("attach", 0, -1),),
+    )
 
 
 class Drawn(NamedTuple):

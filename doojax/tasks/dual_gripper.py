@@ -10,14 +10,12 @@ from jaxtyping import Array, Float
 from doojax.actions import first_valid
 from doojax.geometry.sdf import signed_distance
 from doojax.goals import Goal
-from doojax.simulation.rope import RopeModel, RopeParameters
-from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
+from doojax.simulation.scenes import Obstacle, Scene, Shape
 from doojax.tasks.base import Box, Phase, check_phase
 from doojax.tasks.grippers import GripperMoves, RopeTask, point_goal
+from doojax.tasks.held_rope import MAX_ACTION, MAX_GAP, MIDPOINT, RADIUS, held_rope_scene
 from doojax.types import Obstacles, ShapeKind
 
-LINKS, LENGTH, RADIUS = 25, 0.8, 0.01
-MIDPOINT = 12
 TABLE_TOP = 0.625  # m
 BOXES = (  # full sizes, m
     (0.10, 0.05, 0.20),
@@ -31,17 +29,11 @@ REACH = {  # of gripper targets
     "constrained": Box((0.5, -0.6, 0.6), (1.2, 0.6, 1.2)),
 }
 WORKSPACE = Box((0.35, -0.7, 0.55), (1.3, 0.7, 1.35))  # of a plan's states, as in the released code
-MAX_GAP = {
-    "unconstrained": 0.70,
-    "constrained": 0.78,
-}  # m between the grippers
-MAX_ACTION = 0.10  # m, each gripper
 BANK = 128
 
 
 def default_scene(crowd: int = 1) -> Scene:
     """25 links of 3.2 cm between two grippers, a table, five boxes and two hooks on it, times the crowd."""
-    hold = partial(Gripper, radius=0.01, max_force=5.0, max_speed=0.15)
     table = Obstacle("table", (_box((0.8, 1.5, 0.12)),), friction=0.6)
     boxes = [Obstacle(f"box{i}", (_box(size),), friction=1.0) for i, size in enumerate(BOXES)]
     hooks = [  # a post and, on top of it, a shelf or a bar; offsets from the post's centre
@@ -57,25 +49,7 @@ def default_scene(crowd: int = 1) -> Scene:
         for copy in range(crowd)
         for one in (*boxes, *hooks)
     ]
-    return Scene(
-        name="dual_gripper",
-        rope_model=RopeModel("capsule_chain", LINKS),
-        rope=RopeParameters(
-            length=LENGTH,
-            radius=RADIUS,
-            mass=0.2,
-            bending_stiffness=5e-5,
-            twisting_stiffness=5e-5,
-            bending_damping=2e-4,
-            friction=0.5,
-        ),
-        grippers=(hold(link=0, end=-1), hold(link=LINKS - 1, end=1)),
-        obstacles=(table, *crowded),
-        timestep=0.006,
-        substeps=150,
-        viscosity=0.15,  # else the rope still swings at the end of a period, 8 mm RMS in the next
-        solver=SolverSettings(contact_time=0.012),
-    )
+    return held_rope_scene("dual_gripper", (table, *crowded), bending_damping=2e-4, friction=0.5)
 
 
 @dataclass(frozen=True)

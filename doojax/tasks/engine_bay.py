@@ -24,15 +24,14 @@ from doojax.geometry.frames import (
 from doojax.geometry.sdf import signed_distance
 from doojax.goals import Goal
 from doojax.modules import Jittable
-from doojax.simulation.rope import RopeModel, RopeParameters
-from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings, obstacles_at
+from doojax.simulation.scenes import Obstacle, Scene, Shape, obstacles_at
 from doojax.simulation.state import SimState, Start
 from doojax.tasks.base import Box, Phase, check_phase
 from doojax.tasks.grippers import GripperMoves, RopeTask, point_goal
+from doojax.tasks.held_rope import MAX_ACTION, MAX_GAP, MIDPOINT, RADIUS, held_rope_scene
 from doojax.tasks.ropes import OtherRope
 from doojax.types import Obstacles, ShapeKind
 
-LINKS, LENGTH, RADIUS = 25, 0.8, 0.01
 LIFTED = 0.145  # m, from the floor to the robot's frame
 BAY = ((1.22, -0.14, 0.10), 0.017, -1.5377)  # position (m), roll and yaw (rad) of the model
 BOXES = (  # full sizes and centres in the model, m
@@ -70,7 +69,6 @@ GOALS = tuple(  # m, under the tabs
 AROUND = Box((-0.03, -0.03, -0.02), (0.03, 0.03, 0.02))  # those, for goals that differ
 CLEAR = (0.852, 0.110, 0.036 + LIFTED)  # a goal that is at least the threshold from everything
 GOAL_POINTS = tuple(range(7, 18))  # of the rope, of which any may reach the goal
-MIDPOINT = 12
 HELD = (0.8, 0.0, 0.9 + LIFTED)  # m, between the hands at the fixed start
 HELD_GAP = 0.4  # m
 REACH = {  # of gripper targets
@@ -79,8 +77,6 @@ REACH = {  # of gripper targets
 }
 START = Box((0.45, -0.55, 0.6), (1.0, 0.45, 1.2))  # of grippers at random starts
 WORKSPACE = Box((0.35, -0.75, 0.1), (1.4, 0.75, 1.3))
-MAX_GAP = {"unconstrained": 0.70, "constrained": 0.78}  # m between the grippers
-MAX_ACTION = 0.10  # m, each gripper
 BANK = 64
 ROOM = 0.04  # m, between a rope's or a hand's middle and everything at random starts
 TARGET_ROPE = OtherRope(bending_stiffness=0.032, twisting_stiffness=0.032, bending_damping=3.2e-3)
@@ -93,30 +89,11 @@ def default_scene() -> Scene:
     The rope is chapter IV's source rope. Its joints' Coulomb friction, which would hold it in any shape, is
     left out; a little bending stiffness stands in its place.
     """
-    hold = partial(Gripper, radius=0.01, max_force=5.0, max_speed=0.15)
     straight = tuple(_box(size, centre) for size, centre in BOXES)
     engine = Obstacle("engine", (*straight, Shape(ShapeKind.CYLINDER, TANK[0], TANK[1])))
     turned = [Obstacle("hood", (_box(HOOD[0]),))]
     turned += [Obstacle(f"bumper{i}", (_box(BUMPER),)) for i in range(len(BUMPERS))]
-    return Scene(
-        name="engine_bay",
-        rope_model=RopeModel("capsule_chain", LINKS),
-        rope=RopeParameters(
-            length=LENGTH,
-            radius=RADIUS,
-            mass=0.2,
-            bending_stiffness=5e-5,
-            twisting_stiffness=5e-5,
-            bending_damping=3.2e-4,
-            friction=1.0,
-        ),
-        grippers=(hold(link=0, end=-1), hold(link=LINKS - 1, end=1)),
-        obstacles=(engine, *turned),
-        timestep=0.006,
-        substeps=150,
-        viscosity=0.15,  # as for the rope over a table: else it still swings at the end of a period
-        solver=SolverSettings(contact_time=0.012),
-    )
+    return held_rope_scene("engine_bay", (engine, *turned), bending_damping=3.2e-4, friction=1.0)
 
 
 class BayStart(Jittable):

@@ -7,9 +7,9 @@ smooth curve, its head in the box into which the thesis's code shoves it.
 
 import numpy as np
 
-from doojax.simulation.rope import RopeModel, RopeParameters
-from doojax.simulation.scenes import Attachment, Obstacle, Scene, SolverSettings
-from doojax.tasks.arms import ARMS, BASE, SUBSTEPS, TIMESTEP, ArmTask, Drawn, box, polyline_of
+from doojax.simulation.rope import RopeParameters
+from doojax.simulation.scenes import Obstacle, Scene
+from doojax.tasks.arms import BASE, ArmTask, Drawn, armed_scene, box, polyline_of
 
 LINKS, LENGTH, RADIUS = 20, 3.0, 0.018  # m
 DOWN = 4  # links in which the hose comes down from the wall to the floor
@@ -21,22 +21,12 @@ CURVES = 256  # that are drawn at once
 
 def scene() -> Scene:
     """A hose of 20 links of 15 cm, fastened to a wall behind the robot's left; arms."""
-    return Scene(
-        name="pulling",
-        rope_model=RopeModel("capsule_chain", LINKS),
+    return armed_scene(
+        "pulling",
+        LINKS,
         # 3.88 kg, and 0.5 kg of the root's body; 0.2 N m/rad and 0.02 N m s/rad at joints 8.8 cm apart
-        rope=RopeParameters(
-            LENGTH, RADIUS, 4.38, bending_stiffness=1.76e-2, bending_damping=3e-3, friction=1.0
-        ),
-        grippers=(),
-        obstacles=(box("wall", 0.05, 2.5, 1.0), Obstacle("attach", ())),
-        timestep=TIMESTEP,
-        substeps=SUBSTEPS,
-        viscosity=1.0,
-        solver=SolverSettings(cone="pyramidal", contact_time=2 * TIMESTEP),
-        arms=ARMS,
-        grasps=True,
-        attachments=(Attachment("attach", 0, -1),),
+        RopeParameters(LENGTH, RADIUS, 4.38, bending_stiffness=1.76e-2, bending_damping=3e-3, friction=1.0),
+        (box("wall", 0.05, 2.5, 1.0), Obstacle("attach", ())),
     )
 
 

@@ -8,9 +8,9 @@ the wall on the left into the rack, and falls; the right hand then takes its end
 
 import numpy as np
 
-from doojax.simulation.rope import RopeModel, RopeParameters
-from doojax.simulation.scenes import Attachment, Obstacle, Scene, SolverSettings
-from doojax.tasks.arms import ARMS, BASE, SUBSTEPS, TIMESTEP, ArmTask, Drawn, box, polyline_of
+from doojax.simulation.rope import RopeParameters
+from doojax.simulation.scenes import Obstacle, Scene
+from doojax.tasks.arms import BASE, ArmTask, Drawn, armed_scene, box, polyline_of
 from doojax.topology.skeletons import rectangle
 
 LINKS, LENGTH = 11, 1.0  # m
@@ -33,15 +33,12 @@ def _shelf_halves() -> list[Obstacle]:
 
 def scene() -> Scene:
     """A cable of 11 links, fastened to the wall; arms; a rack of two shelves and a top."""
-    return Scene(
-        name="untangling",
-        rope_model=RopeModel("capsule_chain", LINKS),
+    return armed_scene(
+        "untangling",
+        LINKS,
         # 0.36 kg, and 0.1 kg of the root's body; 0.04 N m/rad and 0.015 N m s/rad at joints 9.1 cm apart
-        rope=RopeParameters(
-            LENGTH, 0.01, 0.46, bending_stiffness=3.6e-3, bending_damping=1.4e-3, friction=1.0
-        ),
-        grippers=(),
-        obstacles=(
+        RopeParameters(LENGTH, 0.01, 0.46, bending_stiffness=3.6e-3, bending_damping=1.4e-3, friction=1.0),
+        (
             *_shelf_halves(),
             *(box(f"post{index}", 0.04, 0.04, 0.25) for index in range(len(POSTS))),
             box("box", 0.14, 0.04, 0.10),
@@ -50,13 +47,6 @@ def scene() -> Scene:
             box("back_wall", 2.5, 0.01, 1.0),
             Obstacle("attach", ()),
         ),
-        timestep=TIMESTEP,
-        substeps=SUBSTEPS,
-        viscosity=1.0,
-        solver=SolverSettings(cone="pyramidal", contact_time=2 * TIMESTEP),
-        arms=ARMS,
-        grasps=True,
-        attachments=(Attachment("attach", 0, -1),),
     )
 
 

@@ -5,26 +5,18 @@ import numpy as np
 
 from doojax.simulation.grasps import graspable
 from doojax.simulation.laying import laid
-from doojax.simulation.rope import RopeModel, RopeParameters
-from doojax.simulation.scenes import Attachment, Obstacle, Scene, SolverSettings
+from doojax.simulation.rope import RopeParameters
+from doojax.simulation.scenes import Obstacle
 from doojax.simulation.state import at_rest
-from doojax.tasks.arms import ARMS, SUBSTEPS, TIMESTEP, ArmTask, Start, box, joint_addresses
+from doojax.tasks.arms import ArmTask, Start, armed_scene, box, joint_addresses
 
 LINKS, LENGTH = 6, 0.6
 HOOK, GOAL = (0.1, 0.62, 1.1), (-0.05, 0.62, 0.75)
-SCENE = Scene(
-    name="hanging",
-    rope_model=RopeModel("capsule_chain", LINKS),
-    rope=RopeParameters(LENGTH, 0.01, 0.2, bending_stiffness=2e-3, bending_damping=2e-3),
-    grippers=(),
-    obstacles=(Obstacle("attach", ()), box("shelf", 0.05, 0.05, 0.05)),
-    timestep=TIMESTEP,
-    substeps=SUBSTEPS,
-    viscosity=1.0,
-    solver=SolverSettings(cone="pyramidal", contact_time=2 * TIMESTEP),
-    arms=ARMS,
-    grasps=True,
-    attachments=(Attachment("attach", 0, -1),),
+SCENE = armed_scene(
+    "hanging",
+    LINKS,
+    RopeParameters(LENGTH, 0.01, 0.2, bending_stiffness=2e-3, bending_damping=2e-3),
+    (Obstacle("attach", ()), box("shelf", 0.05, 0.05, 0.05)),
 )
 
 
