@@ -62,6 +62,7 @@ def evaluate(
     side_by_side: int | None = None,
     keep_trees: bool = False,
     accept: str | None = None,
+    margin: float | None = None,
     allow_seen: bool = False,
 ) -> None:
     """Try methods on the same scenes: one record a trial, for doojax compare and doojax view.
@@ -89,6 +90,7 @@ def evaluate(
         accept: conformal:0.05 or conformal:0.1: accept only above the classifier's threshold at which at most
             that fraction of what it accepts was to be wrong; by default what is more likely right than wrong.
             With the method deviation, only where the upper bound that so many exceed is below its limit.
+        margin: metres, what the collision checker keeps from obstacles; by default 0.02.
         allow_seen: go on with scenes that a model saw in training, and mark the results.
 
     Raises:
@@ -134,6 +136,7 @@ def evaluate(
         "budget": asdict(budget),
         "side_by_side": side_by_side,
         "accept": accept,
+        **({} if margin is None else {"margin": margin}),
         "allow_seen": allow_seen,
     }
     simulator = the_task.simulator(engine)
@@ -151,7 +154,7 @@ def evaluate(
             claim(out / name, METHOD, about, "evaluation")
             if warning := warning_of(seen[name], name):
                 console.print(warning, style="yellow")
-            method = make_method(name, the_task, simulator, found, accept)
+            method = make_method(name, the_task, simulator, found, accept, margin)
             missing = [i for i in range(trials) if not record_file(out, name, i).exists()]
             groups = sorted({i // side_by_side for i in missing})
             with progress_bar(console) as progress:

@@ -94,7 +94,12 @@ def needed_models(name: str, models: Mapping[str, Path]) -> dict[str, Path]:
 
 
 def make_method(
-    name: str, task: Task, simulator: Simulator, models: Mapping[str, Path], accept: str | None = None
+    name: str,
+    task: Task,
+    simulator: Simulator,
+    models: Mapping[str, Path],
+    accept: str | None = None,
+    margin: float | None = None,
 ) -> Method:
     """The method called ``name``.
 
@@ -108,10 +113,15 @@ def make_method(
             more likely right than wrong. Of a deviation it is the upper bound that is to be exceeded by the
             fraction ALPHA, by default the expected one, that must be below its limit. Methods with neither
             do not look at it.
+        margin: metres, what the collision checker keeps from obstacles; by default its own. Other methods do
+            not look at it.
 
     Raises:
-        ValueError: as `needed_models`, and for a rate for which the classifier has no threshold.
+        ValueError: as `needed_models`, for a rate for which the classifier has no threshold, and for a
+            margin that is negative or not finite.
     """
+    if margin is not None and not 0 <= margin < float("inf"):
+        raise ValueError(f"margin is {margin}, expected metres, at least 0")
     from doojax.learning.checkpoints import load_model
 
     needed, recipe = needed_models(name, models), RECIPES[name]
@@ -132,7 +142,8 @@ def make_method(
     else:
         dynamics = simulated(simulator)
         made.setdefault("begin", partial(simulated_start, without_obstacles=True))
-    unlearned = {"always": Always, "collision_checker": CollisionChecker, "random": RandomRecovery}
+    checker = CollisionChecker if margin is None else partial(CollisionChecker, margin)
+    unlearned = {"always": Always, "collision_checker": checker, "random": RandomRecovery}
 
     def judge(kind: str) -> Any:
         return unlearned[kind]() if kind in unlearned else loaded(kind)

@@ -46,6 +46,7 @@ def plan(
     planning: RrtSettings = PLANNING,
     budget: TrialSettings = BUDGET,
     accept: str | None = None,
+    margin: float | None = None,
     allow_seen: bool = False,
     out: Path | None = None,
 ) -> None:
@@ -70,6 +71,7 @@ def plan(
         accept: conformal:0.05 or conformal:0.1: accept only above the classifier's threshold at which at most
             that fraction of what it accepts was to be wrong; by default what is more likely right than wrong.
             With the method deviation, only where the upper bound that so many exceed is below its limit.
+        margin: metres, what the collision checker keeps from obstacles; by default 0.02.
         allow_seen: plan in a scene that a model saw in training, too.
         out: the record to write, ending in .npz, which must not be there yet; by default the first of
             plans/TASK_METHOD_1.npz, plans/TASK_METHOD_2.npz, ... that is not.
@@ -100,7 +102,7 @@ def plan(
     seen = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).state)
     check_problem(the_task, Problem(simulator.obstacles(start), seen, aim, stream(seed, "plan")))
 
-    chosen = make_method(method, the_task, simulator, found, accept)
+    chosen = make_method(method, the_task, simulator, found, accept, margin)
     trials = Trials(*batch, [scene or 0], seed)
     (record,) = run_trials(
         the_task, simulator, chosen, planning, budget, trials, keep_trees=True, execute=execute

@@ -133,3 +133,12 @@ def test_a_conformal_threshold_is_what_a_classifier_must_say(tmp_path):
             make_method("classifier", TOY, SIMULATOR, found, text)
     checker = make_method("collision_checker", TOY, SIMULATOR, found, "conformal:0.05")
     assert checker.reliability.margin == 0.02
+
+
+def test_a_collision_checker_keeps_the_margin_that_is_asked_for():
+    checker = make_method("collision_checker", TOY, SIMULATOR, {}, margin=0.035)
+    assert checker.reliability.margin == 0.035
+    assert make_method("collision_checker", TOY, SIMULATOR, {}, margin=0.0).reliability.margin == 0.0
+    for margin in (-0.01, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match=f"margin is {margin}, expected metres, at least 0"):
+            make_method("collision_checker", TOY, SIMULATOR, {}, margin=margin)
