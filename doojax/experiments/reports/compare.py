@@ -3,8 +3,10 @@
 import csv
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,8 +32,8 @@ from doojax.experiments.reports.summary import publish_rows, row
 from doojax.experiments.reports.tables import cells
 from doojax.experiments.trials.executed import wrong_among_accepted
 from doojax.experiments.trials.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
-from doojax.experiments.trials.scenes import load_scenes, rule
-from doojax.experiments.trials.trial import CRASHED
+from doojax.experiments.trials.scenes import SceneSet, load_scenes, rule
+from doojax.experiments.trials.trial import CRASHED, TrialSettings
 from doojax.files import write_whole
 
 ORACLE = "oracle"
@@ -103,9 +105,7 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
     )
     write_whole(out / "comparison.md", text + "\n")
     draw_success(out / "success.png", outcomes, f"{task.replace('_', ' ')}, {trials} {kind}")
-    about = {"task": task, "difficulty": scenes.difficulty} | ({"start": "caught"} if scenes.caught else {})
-    if scenes.rope.given:
-        about["rope"] = ", ".join(f"{name} {value}" for name, value in scenes.rope.given.items())
+    about = scene_tags(task, scenes) | setting_tags(config)
     rows = summary_rows(about, outcomes)
     inputs = {name: value for run in made for name, value in run.inputs.items()}
     last = made[-1] if made else None
@@ -114,6 +114,21 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
     for line in crash_lines(outcomes):
         Console(stderr=True, markup=False, highlight=False).print(line, style="red", soft_wrap=True)
     Console(stderr=True).print(f"all tables and the figure are in {out}", highlight=False, markup=False)
+
+
+def scene_tags(task: str, scenes: SceneSet) -> dict[str, str]:
+    """What rows say of the scenes of their trials."""
+    tags = {"task": task, "difficulty": scenes.difficulty} | ({"start": "caught"} if scenes.caught else {})
+    if scenes.rope.given:
+        tags["rope"] = ", ".join(f"{name} {value}" for name, value in scenes.rope.given.items())
+    return tags
+
+
+def setting_tags(config: dict[str, Any]) -> dict[str, Any]:
+    """What rows say of an evaluation's settings: those that are not the default."""
+    plain, budget = asdict(TrialSettings()), config.get("budget", {})
+    tags = {name: budget[name] for name in plain if name in budget and budget[name] != plain[name]}
+    return tags | {name: config[name] for name in ("accept", "margin") if config.get(name) is not None}
 
 
 def show_briefly(outcomes: Sequence[Outcomes], title: str) -> None:

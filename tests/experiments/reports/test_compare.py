@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doojax.commands import parsed
-from doojax.experiments.reports.compare import compare, success_figure
+from doojax.experiments.reports.compare import compare, setting_tags, success_figure
 from doojax.experiments.reports.provenance import note_command
 from doojax.experiments.reports.summary import read_summary
 from doojax.experiments.trials.outcomes import read_evaluation
@@ -199,3 +199,10 @@ def test_what_is_no_evaluation_is_refused(folder, tmp_path):
     with pytest.raises(ValueError, match="holds no finished trial yet"):
         compare(folder)
     assert not (folder / "comparison").exists()
+
+
+def test_rows_say_which_settings_were_not_the_default():
+    plain = {"searches": 10, "actions": 200, "replan_distance": None}
+    assert setting_tags({"budget": plain, "accept": None}) == {}
+    assert setting_tags({"budget": plain | {"searches": 1}, "margin": 0.0}) == {"searches": 1, "margin": 0.0}
+    assert setting_tags({"budget": plain, "accept": "conformal:0.05"}) == {"accept": "conformal:0.05"}
