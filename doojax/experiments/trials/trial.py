@@ -256,15 +256,17 @@ def _execute(
             break
         last, trajectory = simulator.rollout(states, jnp.asarray(actions)[:, None])
         here = jax.tree.map(lambda leaf: leaf[:, -1], trajectory.states)
-        states, seen = _where(moving, (last, here), (states, seen))
-        bodies, faults = np.asarray(here.bodies()), np.asarray(trajectory.faults)
+        broken = (np.asarray(trajectory.faults)[:, -1] & BROKEN) != 0
+        # of a trial that breaks the last sound state stays: it says how far the goal was
+        states, seen = _where(moving & ~broken, (last, here), (states, seen))
+        bodies = np.asarray(here.bodies())
         missing = np.asarray(_distances(goals, here))
         for i in np.flatnonzero(moving).tolist():
             log, predicted = logs[i], moves[i].predicted
             before, after = log.bodies[-1], bodies[i]
             log.actions.append(actions[i])
             log.bodies.append(after)
-            if faults[i, -1] & BROKEN:
+            if broken[i]:
                 log.stop("the simulation became unstable")
                 continue
             if predicted is not None:
