@@ -16,18 +16,8 @@ from rich.table import Table
 
 import doojax
 from doojax.commands import COMMANDS, Commands, load
+from doojax.optional import advice
 
-# What comes with an extra of doojax only -> the extra.
-EXTRAS = {
-    "flax": "bench",
-    "h_signature": "bench",
-    "mink": "bench",
-    "ompl": "bench",
-    "playwright": "dev",
-    "pytorch_mppi": "bench",
-    "torch": "bench",
-    "warp": "warp",
-}
 X64 = (
     "JAX_ENABLE_X64 is set, but data sets, scenes and models of the doojax command are of 32-bit numbers: "
     "unset it; as a library, doojax computes in either"
@@ -131,8 +121,8 @@ def unknown(name: str, commands: Commands, program: str) -> str:
 
 def explain(error: Exception) -> str:
     """An error's message in words that need no knowledge of Python."""
-    if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] in EXTRAS:
-        return f"{error}: pip install 'doojax[{EXTRAS[error.name.split('.')[0]]}]'"
+    if isinstance(error, ModuleNotFoundError):
+        return advice(error)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or type(error).__name__

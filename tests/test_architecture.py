@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "doojax").rglob("*.py"))
 
 # What every part may import; of these themselves each only those before it.
-GROUND = ["types", "modules", "keys", "parts", "reading", "files", "commands", "actions", "goals"]
+GROUND = ["optional", "types", "modules", "keys", "parts", "reading", "files", "commands", "actions", "goals"]
 # What else each part may import, beside itself: a model knows no simulator, planning knows no task.
 MAY_IMPORT = {
     "geometry": set(),
@@ -250,6 +250,13 @@ def test_what_is_imported_is_declared():
                 )
 
 
+def extras_of(requirements: list[str]) -> list[str]:
+    """The names in the brackets of "doojax[figures,view]"."""
+    from packaging.requirements import Requirement
+
+    return sorted({extra for one in requirements for extra in Requirement(one).extras})
+
+
 def canonical(requirement: str) -> str:
     """The name in a requirement such as "ImageIO>=2", as pyproject.toml and the lock may both spell it."""
     return re.match(r"[\w.-]+", requirement)[0].lower().replace("_", "-").replace(".", "-")  # type: ignore
@@ -262,9 +269,11 @@ def test_the_lock_holds_every_dependency_and_nothing_but_versions():
     assert [line for line in lines if not re.fullmatch(r"[\w.-]+==[\w.]+", line)] == []
     locked = {canonical(line): line.split("==")[1] for line in lines}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = project["project"]["optional-dependencies"]
+    own = [line for line in extras["dev"] if canonical(line) == "doojax"]  # other extras, all of them locked
     needed = [
         *project["project"]["dependencies"],
-        *project["project"]["optional-dependencies"]["dev"],
+        *(line for extra in ["dev", *extras_of(own)] for line in extras[extra] if line not in own),
         *project["build-system"]["requires"],
     ]
     for requirement in map(Requirement, needed):

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from doojax import cli
+from doojax.optional import EXTRAS
 
 
 def entries(commands: cli.Commands, names: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -143,9 +144,12 @@ def test_bad_input_gives_one_line_and_traceback_the_error_itself(with_command, c
 
 def test_every_extra_that_is_named_exists_and_brings_the_package():
     project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
-    for module, extra in cli.EXTRAS.items():
+    called = {"PIL": "pillow"}
+    for module, extra in EXTRAS.items():
         packages = " ".join(project["optional-dependencies"][extra])
-        assert module.replace("_", "-") in packages, f"{module} comes with another extra than {extra}"
+        name = called.get(module, module.replace("_", "-"))
+        assert name in packages, f"{module} comes with another extra than {extra}"
+        assert name not in " ".join(project["dependencies"]), f"{name} comes without any extra"
 
 
 def test_a_defect_of_ours_is_not_dressed_up_as_bad_input(with_command):
@@ -198,6 +202,7 @@ def test_a_reader_that_goes_away_is_no_error():
     code = """
 import sys
 from doojax import cli
+from doojax.optional import EXTRAS
 def much() -> None:
     '''Print.'''
     for i in range(100000): print(i)

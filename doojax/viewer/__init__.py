@@ -1,1 +1,5 @@
 """viewer."""
+
+from doojax.optional import require
+
+require("viser", "PIL", "imageio", "matplotlib")
