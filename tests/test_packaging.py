@@ -14,7 +14,7 @@ from doojax.optional import EXTRAS, advice, require
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = {"viser", "matplotlib", "imageio", "PIL"}
 
-# What someone who came from `pip install doojax` does first; {absent} cannot be imported, as if not installed.
+# What follows a plain `pip install doojax`; {absent} cannot be imported, as if not installed.
 FIRST_USE = """
 import sys
 class Absent:
@@ -63,7 +63,9 @@ def test_the_wheel_says_who_made_it_and_under_which_licence(wheel):
     assert f"version: {about['Version']}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"({about['Version']})" in (ROOT / "CHANGELOG.md").read_text()
     needed = [line for line in about.get_all("Requires-Dist", []) if "extra ==" not in line]
-    assert not [line for line in needed for name in ("viser", "matplotlib", "imageio", "pillow") if name in line]
+    assert not [
+        line for line in needed for name in ("viser", "matplotlib", "imageio", "pillow") if name in line
+    ]
 
 
 def test_the_wheel_holds_all_that_git_has_of_doojax_and_nothing_else(wheel):
