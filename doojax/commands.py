@@ -38,6 +38,7 @@ BENCHMARKS: Commands = {
         "doojax.benchmarks.augmentation:augmentation",
         "augmentations per second, and how far their outcomes are from the simulator's",
     ),
+    "fluid": ("doojax.benchmarks.fluid:fluid", "a column at rest, a dam that breaks, particles a second"),
     "physics": ("doojax.benchmarks.physics:physics", "closed forms, engines beside each other, penetration"),
     "cosserat": (
         "doojax.benchmarks.cosserat:cosserat",

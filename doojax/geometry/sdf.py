@@ -189,6 +189,19 @@ def signed_distance_and_gradient(
     return _nearest_with_gradient(obstacles, x, y, z)
 
 
+def signed_distances_and_gradients(
+    obstacles: Obstacles, x: Float[Array, "*p"], y: Float[Array, "*p"], z: Float[Array, "*p"]
+) -> tuple[Float[Array, "M *p"], Float[Array, "M *p"], Float[Array, "M *p"], Float[Array, "M *p"]]:
+    """`signed_distances` and their derivatives by x, y and z, obstacles first, written out.
+
+    Arguments and errors as for `signed_distance_and_gradient`.
+    """
+    _require_one_set(obstacles)
+    shape = (-1, *[1] * jnp.ndim(x))
+    numbers = jax.tree.map(lambda one: one.reshape(shape), _numbers(obstacles))
+    return _distance_and_gradient(numbers, x[None], y[None], z[None])
+
+
 @jax.jit
 def _nearest_with_gradient(obstacles: Obstacles, *point: Float[Array, "*p"]) -> tuple[Array, ...]:
     def at_once(obstacles: Obstacles, *point: Array) -> tuple[Array, ...]:
