@@ -15,7 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from doojax.geometry.sdf import FAR
+from doojax.geometry.shapes import FAR
 
 ROUNDING = 2e-6  # m: of distances in float32, so that an example lies within its own bands
 

@@ -34,7 +34,7 @@ from doojax.datasets.collect import random_trajectories
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.geometry.motion import RigidMotion
-from doojax.geometry.sdf import FAR
+from doojax.geometry.shapes import FAR
 from doojax.keys import numbered, stream
 from doojax.parts import in_parts, worth_parts
 from doojax.simulation.state import SimState, Simulator

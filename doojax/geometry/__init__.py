@@ -20,13 +20,13 @@ from doojax.geometry.frames import to_world as to_world
 from doojax.geometry.mesh_grid import MeshGrid as MeshGrid
 from doojax.geometry.mesh_grid import fill_mesh_grid as fill_mesh_grid
 from doojax.geometry.mesh_grid import mesh_signed_distance as mesh_signed_distance
-from doojax.geometry.sdf import FAR as FAR
 from doojax.geometry.sdf import nearest_obstacle as nearest_obstacle
-from doojax.geometry.sdf import segment_signed_distance as segment_signed_distance
 from doojax.geometry.sdf import signed_distance as signed_distance
 from doojax.geometry.sdf import signed_distance_and_gradient as signed_distance_and_gradient
 from doojax.geometry.sdf import signed_distances as signed_distances
+from doojax.geometry.segment_sdf import segment_signed_distance as segment_signed_distance
 from doojax.geometry.segments import segment_distance as segment_distance
+from doojax.geometry.shapes import FAR as FAR
 from doojax.geometry.voxels import Grid as Grid
 from doojax.geometry.voxels import crop as crop
 from doojax.geometry.voxels import gaussian_raster as gaussian_raster

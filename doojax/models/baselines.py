@@ -4,7 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from doojax.geometry.sdf import FAR, segment_signed_distance, signed_distance
+from doojax.geometry.sdf import signed_distance
+from doojax.geometry.segment_sdf import segment_signed_distance
+from doojax.geometry.shapes import FAR
 from doojax.models.local import chain_of
 from doojax.models.protocols import Reliability, above
 from doojax.modules import Jittable

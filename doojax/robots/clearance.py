@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from doojax.geometry.frames import rotate
-from doojax.geometry.sdf import FAR, segment_is_far, segment_signed_distance
+from doojax.geometry.segment_sdf import segment_is_far, segment_signed_distance
 from doojax.geometry.segments import segment_distance
+from doojax.geometry.shapes import FAR
 from doojax.robots.kinematics import link_poses
 from doojax.robots.robot import Robot
 from doojax.types import Obstacles

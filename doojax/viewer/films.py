@@ -10,7 +10,7 @@ from jaxtyping import Float
 from doojax.datasets import Dataset
 from doojax.experiments.drawing import Drawing
 from doojax.experiments.trials.records import PredictionRecord, TrialRecord, body_of
-from doojax.geometry.sdf import segment_signed_distance
+from doojax.geometry.segment_sdf import segment_signed_distance
 from doojax.types import Obstacles
 from doojax.viewer import colours
 from doojax.viewer.episodes import episode, episode_of, title

@@ -4,7 +4,6 @@ import operator
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,27 +13,21 @@ from scipy.spatial.transform import Rotation
 from doojax.geometry import (
     FAR,
     nearest_obstacle,
-    segment_signed_distance,
     signed_distance,
     signed_distance_and_gradient,
     signed_distances,
 )
-from doojax.types import Obstacles, ShapeKind
+from doojax.types import ShapeKind
+from tests.geometry.shapes import KINDS, in_mujoco, obstacles_of, one_shape, random_obstacles
 
-KINDS = [ShapeKind.BOX, ShapeKind.CAPSULE, ShapeKind.CYLINDER] * 3
-MUJOCO_KINDS = {
-    ShapeKind.BOX: mujoco.mjtGeom.mjGEOM_BOX,
-    ShapeKind.CAPSULE: mujoco.mjtGeom.mjGEOM_CAPSULE,
-    ShapeKind.CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-}
 properties = settings(max_examples=20, deadline=None)
+COUNT = 100  # points in most tests, so that what is compiled for one serves the others
+LATTICE = np.stack(np.meshgrid(*[np.linspace(-0.4, 0.4, 9)] * 3), axis=-1).reshape(-1, 3)
 seeds = st.integers(0, 2**32 - 1)
 
 distance = jax.jit(signed_distance)
 distances = jax.jit(signed_distances)
 nearest = jax.jit(nearest_obstacle)
-segment_distance = jax.jit(segment_signed_distance)
 derived = jax.jit(jax.vmap(jax.grad(signed_distance, argnums=1), (None, 0)))
 
 
@@ -44,58 +37,6 @@ def written(obstacles, points):
 
 
 both_gradients = pytest.mark.parametrize("gradient", [derived, written], ids=["derived", "written"])
-
-
-def random_obstacles(rng, kinds=KINDS):
-    half_size = rng.uniform(0.02, 0.3, (len(kinds), 3))
-    round_shape = np.array(kinds) != ShapeKind.BOX
-    half_size[round_shape, 1] = half_size[round_shape, 0]
-    return obstacles_of(
-        kinds,
-        rng.uniform(-0.6, 0.6, (len(kinds), 3)),
-        Rotation.random(len(kinds), rng=rng).as_quat(scalar_first=True),
-        half_size,
-    )
-
-
-def obstacles_of(kinds, centre, quaternion, half_size):
-    return Obstacles(
-        kind=jnp.array(kinds, int),
-        centre=jnp.asarray(centre, float),
-        quaternion=jnp.asarray(quaternion, float),
-        half_size=jnp.asarray(half_size, float),
-        active=jnp.ones(len(kinds), bool),
-    )
-
-
-def one_shape(kind, half_size):
-    return obstacles_of([kind], [[0, 0, 0]], [[1, 0, 0, 0]], [half_size])
-
-
-def in_mujoco(obstacles, probe, probe_size):
-    """A model with the obstacles and a probe geom; returns distances(position, quaternion) -> [M]."""
-    spec = mujoco.MjSpec()
-    for i in range(len(obstacles.kind)):
-        kind = ShapeKind(int(obstacles.kind[i]))
-        size = np.asarray(obstacles.half_size[i], float)
-        spec.worldbody.add_geom(
-            type=MUJOCO_KINDS[kind],
-            size=size if kind == ShapeKind.BOX else [size[0], size[2], 0],
-            pos=obstacles.centre[i],
-            quat=obstacles.quaternion[i],
-        )
-    body = spec.worldbody.add_body(mocap=True)
-    body.add_geom(type=MUJOCO_KINDS[probe], size=probe_size)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-
-    def distances_at(position, quaternion=(1, 0, 0, 0)):
-        data.mocap_pos[0], data.mocap_quat[0] = position, quaternion
-        mujoco.mj_forward(model, data)
-        last = model.ngeom - 1
-        return [mujoco.mj_geomDistance(model, data, i, last, 10, None) for i in range(last)]
-
-    return distances_at
 
 
 @both_gradients
@@ -117,9 +58,11 @@ def in_mujoco(obstacles, probe, probe_size):
     ],
 )
 def test_closed_forms(kind, half_size, point, expected, normal, gradient):
-    obstacles, point = one_shape(kind, half_size), jnp.array([point], float)
-    np.testing.assert_allclose(distance(obstacles, point), [expected], atol=1e-7)
-    np.testing.assert_allclose(gradient(obstacles, point), [normal], atol=1e-6)
+    obstacles, points = one_shape(kind, half_size), jnp.full_like(LATTICE, jnp.array(point), float)
+    np.testing.assert_allclose(distance(obstacles, points), expected, atol=1e-7)
+    np.testing.assert_allclose(
+        gradient(obstacles, points), jnp.full_like(points, jnp.array(normal)), atol=1e-6
+    )
 
 
 def test_equals_mujoco_inside_and_outside():
@@ -153,35 +96,42 @@ def test_gradient_has_unit_length_and_equals_finite_differences(gradient):
 def test_gradient_in_float32_has_unit_length(gradient):
     rng = np.random.default_rng(3)
     obstacles = random_obstacles(rng)
-    slope = gradient(obstacles, jnp.asarray(rng.uniform(-0.8, 0.8, (5000, 3)), float))
-    np.testing.assert_allclose(jnp.linalg.norm(slope, axis=-1), 1, atol=1e-5)
+    for points in rng.uniform(-0.8, 0.8, (50, COUNT, 3)):
+        slope = gradient(obstacles, jnp.asarray(points, float))
+        np.testing.assert_allclose(np.linalg.norm(slope, axis=-1), 1, atol=1e-5)
 
 
 @both_gradients
 @pytest.mark.parametrize("kind", list(ShapeKind))
 def test_gradient_is_finite_on_kinks_faces_and_axes(kind, gradient):
-    lattice = jnp.stack(jnp.meshgrid(*[jnp.linspace(-0.4, 0.4, 9)] * 3), axis=-1).reshape(-1, 3)
-    obstacles = one_shape(
-        kind, (0.1, 0.1, 0.2)
-    )  # the lattice holds its centre, axis, edges, corners and faces
-    slope = gradient(obstacles, lattice)
-    assert jnp.all(jnp.linalg.norm(slope, axis=-1) <= 1 + 1e-6)
-    outside = distance(obstacles, lattice) > 1e-6
-    np.testing.assert_allclose(jnp.linalg.norm(slope[outside], axis=-1), 1, atol=1e-6)
-    pose_and_size = (obstacles.centre, obstacles.quaternion, obstacles.half_size)
+    # the lattice holds its centre, axis, edges, corners and faces
+    obstacles, lattice = one_shape(kind, (0.1, 0.1, 0.2)), jnp.asarray(LATTICE, float)
+    slope = np.asarray(gradient(obstacles, lattice))
+    assert np.all(np.linalg.norm(slope, axis=-1) <= 1 + 1e-6)
+    outside = np.asarray(distance(obstacles, lattice)) > 1e-6
+    np.testing.assert_allclose(np.linalg.norm(slope[outside], axis=-1), 1, atol=1e-6)
 
+
+@jax.jit
+def by_pose_and_size(obstacles, points):
     def reshaped(pose_and_size):
         changed = eqx.tree_at(lambda o: (o.centre, o.quaternion, o.half_size), obstacles, pose_and_size)
-        return signed_distance(changed, lattice)
+        return signed_distance(changed, points)
 
-    assert all(jnp.all(jnp.isfinite(part)) for part in jax.jit(jax.jacfwd(reshaped))(pose_and_size))
+    return jax.jacfwd(reshaped)((obstacles.centre, obstacles.quaternion, obstacles.half_size))
+
+
+@pytest.mark.parametrize("kind", list(ShapeKind))
+def test_derivatives_by_pose_and_size_are_finite_there_too(kind):
+    parts = by_pose_and_size(one_shape(kind, (0.1, 0.1, 0.2)), jnp.asarray(LATTICE, float))
+    assert all(np.all(np.isfinite(part)) for part in parts)
 
 
 @properties
 @given(seeds)
 def test_moving_everything_together_changes_nothing(seed):
     rng = np.random.default_rng(seed)
-    obstacles, points = random_obstacles(rng), rng.uniform(-0.8, 0.8, (50, 3))
+    obstacles, points = random_obstacles(rng), rng.uniform(-0.8, 0.8, (COUNT, 3))
     turn, shift = Rotation.random(rng=rng), rng.uniform(-1, 1, 3)
     orientation = Rotation.from_quat(np.asarray(obstacles.quaternion), scalar_first=True)
     moved = obstacles_of(
@@ -199,9 +149,9 @@ def test_moving_everything_together_changes_nothing(seed):
 @given(seeds, st.floats(0.001, 2))
 def test_distance_is_1_lipschitz(seed, reach):
     rng = np.random.default_rng(seed)
-    obstacles, points = random_obstacles(rng), rng.uniform(-0.8, 0.8, (2, 50, 3))
+    obstacles, points = random_obstacles(rng), rng.uniform(-0.8, 0.8, (2, COUNT // 2, 3))
     points[1] = points[0] + reach * (points[1] - points[0])
-    value = np.asarray(distance(obstacles, jnp.asarray(points, float)))
+    value = np.asarray(distance(obstacles, jnp.asarray(points.reshape(-1, 3), float))).reshape(2, -1)
     apart = np.linalg.norm(points[1] - points[0], axis=-1)
     assert np.all(np.abs(value[1] - value[0]) <= apart + 1e-6)
 
@@ -212,16 +162,17 @@ def test_distance_is_1_lipschitz(seed, reach):
 def test_walking_down_the_gradient_reaches_the_surface(gradient, seed):
     rng = np.random.default_rng(seed)
     obstacles = random_obstacles(rng)
-    points = jnp.asarray(rng.uniform(-0.8, 0.8, (50, 3)), float)
-    value = distance(obstacles, points)
-    surface = points - value[:, None] * gradient(obstacles, points)
-    landed = jnp.take_along_axis(distances(obstacles, surface), nearest(obstacles, points)[:, None], axis=1)
+    points = rng.uniform(-0.8, 0.8, (COUNT, 3)).astype(np.float32)
+    value = np.asarray(distance(obstacles, jnp.asarray(points)))
+    surface = points - value[:, None] * np.asarray(gradient(obstacles, jnp.asarray(points)))
+    near = np.asarray(nearest(obstacles, jnp.asarray(points)))
+    landed = np.asarray(distances(obstacles, jnp.asarray(surface)))[np.arange(COUNT), near]
     np.testing.assert_allclose(landed, 0, atol=3e-6)
 
 
 def test_inactive_obstacles_do_not_count():
     obstacles = random_obstacles(np.random.default_rng(4))
-    points = jnp.asarray(np.random.default_rng(5).uniform(-0.8, 0.8, (100, 3)), float)
+    points = jnp.asarray(np.random.default_rng(5).uniform(-0.8, 0.8, (COUNT, 3)), float)
     some = eqx.tree_at(lambda o: o.active, obstacles, jnp.arange(9) % 2 == 0)
     kept = jax.tree.map(lambda field: field[::2], obstacles)
     np.testing.assert_allclose(distance(some, points), distance(kept, points), atol=1e-6)
@@ -234,10 +185,9 @@ def test_no_active_obstacle_is_far_away_and_has_no_gradient(gradient):
     obstacles = random_obstacles(np.random.default_rng(4))
     parked = eqx.tree_at(lambda o: o.active, obstacles, jnp.zeros(9, bool))
     none = jax.tree.map(lambda field: field[:0], obstacles)
-    points = jnp.ones((2, 3))
+    points = jnp.ones((COUNT, 3))
     for empty in (parked, none):
         assert jnp.all(distance(empty, points) == FAR)
-        assert jnp.all(segment_distance(empty, points, points + 1) == FAR)
         assert jnp.all(nearest(empty, points) == -1)
         assert jnp.all(gradient(empty, points) == 0)
 
@@ -247,14 +197,14 @@ def test_nearest_is_the_first_of_the_least_distances_and_nan_stays_nan(gradient)
     rng = np.random.default_rng(4)
     once = random_obstacles(rng)
     twice = jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), once)  # every obstacle has an equal
-    points = jnp.asarray(rng.uniform(-0.9, 0.9, (500, 3)))
+    points = jnp.asarray(rng.uniform(-0.9, 0.9, (COUNT, 3)))
     np.testing.assert_array_equal(nearest(twice, points), distances(twice, points).argmin(-1))
     assert nearest(twice, points).max() < len(KINDS)
-    assert jnp.isnan(distance(once, jnp.array([[jnp.nan, 0.0, 0.0]])))
+    assert jnp.isnan(distance(once, points.at[7, 0].set(jnp.nan))).nonzero()[0].tolist() == [7]
     for field in ("centre", "half_size", "quaternion"):
         broken = eqx.tree_at(operator.attrgetter(field), once, replace_fn=lambda old: old.at[4].set(jnp.nan))
-        assert (nearest(broken, points) == 4).all()
-        assert jnp.isnan(distance(broken, points)).all() and jnp.isnan(gradient(broken, points)).all()
+        assert (np.asarray(nearest(broken, points)) == 4).all()
+        assert np.isnan(distance(broken, points)).all() and np.isnan(gradient(broken, points)).all()
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 11), (64,)])
@@ -333,65 +283,3 @@ def test_new_poses_sizes_and_masks_compile_nothing_new():
     for seed in range(4):
         obstacles = random_obstacles(np.random.default_rng(seed))
         once(eqx.tree_at(lambda o: o.active, obstacles, jnp.arange(9) > seed), points + seed)
-
-
-def test_segments_equal_mujoco_capsules_where_they_are_apart():
-    rng = np.random.default_rng(8)
-    obstacles = random_obstacles(rng)
-    radius, half_length = 0.01, 0.15
-    centres = rng.uniform(-1, 1, (200, 3))
-    turns = Rotation.random(200, rng=rng)
-    half = turns.apply([0, 0, half_length])
-    ours = segment_distance(obstacles, jnp.asarray(centres - half, float), jnp.asarray(centres + half, float))
-    mujoco_distances = in_mujoco(obstacles, ShapeKind.CAPSULE, [radius, half_length, 0])
-    theirs = np.array(
-        [
-            min(mujoco_distances(centre, quaternion))
-            for centre, quaternion in zip(centres, turns.as_quat(scalar_first=True), strict=True)
-        ]
-    )
-    apart = theirs > 1e-4
-    assert np.count_nonzero(apart) > 80
-    np.testing.assert_allclose(ours[apart] - radius, theirs[apart], atol=2e-5)
-    assert np.all(ours[theirs < -1e-4] < radius)
-
-
-@properties
-@given(seeds, st.floats(0.01, 2))
-def test_segments_find_the_least_of_many_samples(seed, length):
-    rng = np.random.default_rng(seed)
-    obstacles = random_obstacles(rng)
-    start = rng.uniform(-0.8, 0.8, (20, 3))
-    direction = rng.normal(size=(20, 3))
-    end = start + length * direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    fractions = np.linspace(0, 1, 201)[:, None, None]
-    samples = distance(obstacles, jnp.asarray(start + fractions * (end - start), float)).min(axis=0)
-    found = segment_distance(obstacles, jnp.asarray(start, float), jnp.asarray(end, float))
-    assert np.all(found <= samples + 3e-6)
-    assert np.all(found >= samples - length / 400 - 3e-6)
-
-
-def test_a_link_through_a_thin_wall_is_inside_it():
-    wall = one_shape(ShapeKind.BOX, (0.0005, 1, 1))
-    start, end = jnp.array([-0.0181, 0.2, 0.1]), jnp.array([0.0329, 0.2, 0.1])
-    assert distance(wall, jnp.stack([start, end])).min() > 0.017
-    np.testing.assert_allclose(segment_distance(wall, start, end), -0.0005, atol=1e-6)
-
-
-def test_segment_gradient_equals_finite_differences():
-    rng = np.random.default_rng(9)
-    with jax.enable_x64(True):
-        obstacles = random_obstacles(rng)
-        ends = jnp.asarray(rng.uniform(-0.8, 0.8, (200, 2, 3)))
-
-        @jax.jit
-        def value(ends):
-            return segment_signed_distance(obstacles, ends[..., 0, :], ends[..., 1, :])
-
-        slope = jax.grad(lambda ends: value(ends).sum())(ends)
-        assert jnp.all(jnp.isfinite(slope))
-        step = 1e-5 * jnp.eye(6).reshape(6, 2, 3)
-        numeric = (value(ends[:, None] + step) - value(ends[:, None] - step)).reshape(-1, 2, 3) / 2e-5
-        outside = value(ends) > 0  # inside, the deepest point mostly lies on a kink
-        assert jnp.count_nonzero(outside) > 50
-        np.testing.assert_allclose(slope[outside], numeric[outside], atol=1e-4)

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy import ndimage
 
-from doojax.geometry.sdf import segment_signed_distance, signed_distance
+from doojax.geometry.sdf import signed_distance
+from doojax.geometry.segment_sdf import segment_signed_distance
 from doojax.tasks.base import Box
 from doojax.types import Obstacles
 
