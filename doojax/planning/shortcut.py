@@ -13,7 +13,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from doojax.actions import ActionSpace
-from doojax.planning.rrt import Rrt, judged, propagate, spread_after
+from doojax.models.protocols import Reliability
+from doojax.planning.expansion import judged, spread_after
+from doojax.planning.protocols import Task
+from doojax.planning.rrt import Rrt, propagate
 from doojax.planning.tree import Plan, Problem, Tree
 from doojax.types import State, Transition
 
@@ -56,7 +59,6 @@ def _round(
         actions[: len(sequence), lane] = sequence
 
     obstacles = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], problem.obstacles)
-    judge = eqx.tree_at(lambda p: p.dynamics, planner, None)  # which may be no pytree
     states = jax.tree.map(lambda leaf: jnp.asarray(leaf[plan.nodes[leave]]), tree.state)
     spread = jnp.asarray(tree.spread[plan.nodes[leave]])
     going, steps = np.ones(lanes, dtype=bool), []
@@ -66,7 +68,8 @@ def _round(
         before = jax.tree.map(lambda leaf: leaf[None], states)
         after, uncertainty = propagate(planner.dynamics, obstacles, before, jnp.asarray(action)[None])
         after, uncertainty = jax.tree.map(lambda leaf: leaf[0], (after, uncertainty))
-        found = _judge(judge, problem, Transition(states, jnp.asarray(action), after, uncertainty))
+        steps_now = Transition(states, jnp.asarray(action), after, uncertainty)
+        found = _judge(planner.task, planner.reliability, problem, steps_now)
         score, fine, distance = (np.asarray(values) for values in found)
         spread = spread_after(spread, uncertainty, after)
         there = distance <= np.asarray(planner.settings.reach(jnp.asarray(problem.goal.tolerance), spread))
@@ -100,11 +103,11 @@ def _sequence(
 
 @eqx.filter_jit
 def _judge(
-    planner: Rrt, problem: Problem, steps: Transition
+    task: Task, reliability: Reliability, problem: Problem, steps: Transition
 ) -> tuple[Float[Array, "L"], Bool[Array, "L"], Float[Array, "L"]]:
     """Of each step: its score, may it be in a plan, and the metres to the goal after it."""
-    found, sound, distance = judged(planner.reliability, problem, steps)
-    allow = jax.vmap(planner.task.actions.valid)(steps.state, steps.action)
+    found, sound, distance = judged(reliability, problem, steps)
+    allow = jax.vmap(task.actions.valid)(steps.state, steps.action)
     return found.score, sound & allow & found.accepted, distance
 
 

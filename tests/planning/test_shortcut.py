@@ -56,11 +56,16 @@ def test_a_shortened_plan_is_still_a_plan(start, goal, yaw, seed):
         after, _ = propagate(SMOOTH.dynamics, obstacles, alike, jnp.tile(action, (1, SMALL.lanes, 1, 1)))
         assert np.array_equal(after.points[0, 0], grown.state.points[node])
         here = jax.tree.map(lambda leaf: leaf[0, 0], after)
-        assert CAREFUL(one.obstacles, Transition(before, action, here, jnp.zeros(()))).accepted
-        assert TOY.actions.valid(before, action)
+        assert all(judged(one.obstacles, Transition(before, action, here, jnp.zeros(()))))
 
     again = shortened(SMOOTH, one, tree, plan)[1]
     assert np.array_equal(again.actions, short.actions)
+
+
+@jax.jit
+def judged(obstacles, step):
+    """Is a step accepted, and allowed?"""
+    return CAREFUL(obstacles, step).accepted, TOY.actions.valid(step.state, step.action)
 
 
 def zigzag() -> tuple[Plan, Tree, object]:
