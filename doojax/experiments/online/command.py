@@ -21,7 +21,7 @@ from doojax.experiments.trials.evaluate import with_other_rope
 from doojax.experiments.trials.methods import find_models, make_method, pretrained_models
 from doojax.experiments.trials.scenes import load_scenes, scene_file
 from doojax.experiments.trials.seen import check_unseen, warning_of
-from doojax.experiments.trials.trial import TrialSettings
+from doojax.experiments.trials.setting import TrialSettings
 from doojax.files import file_digest
 from doojax.keys import check_seed
 from doojax.learning.adaptation import AdaptationMethod

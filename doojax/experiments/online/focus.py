@@ -11,7 +11,7 @@ import numpy as np
 from doojax.experiments.online.experience import executed
 from doojax.experiments.online.learners import Lesson
 from doojax.experiments.trials.records import TrialRecord
-from doojax.experiments.trials.trial import Method
+from doojax.experiments.trials.setting import Method
 from doojax.keys import generator
 from doojax.learning.adaptation import AdaptationConfig, AdaptationMethod, adapt
 from doojax.learning.checkpoints import Header, load_model, save_model

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from doojax.experiments.trials.records import TrialRecord
-from doojax.experiments.trials.trial import Method
+from doojax.experiments.trials.setting import Method
 
 
 class Lesson(NamedTuple):

@@ -16,7 +16,7 @@ from doojax.augmentation import setting_of, usual
 from doojax.experiments.online.experience import Enrichment, enriched, executed, judged_by_outcome
 from doojax.experiments.online.learners import Lesson
 from doojax.experiments.trials.records import TrialRecord
-from doojax.experiments.trials.trial import Method
+from doojax.experiments.trials.setting import Method
 from doojax.keys import generator, stream
 from doojax.learning.buffer import Buffer
 from doojax.learning.buffered import BufferedClassifier, Labelled

@@ -22,7 +22,7 @@ from doojax.experiments.trials.evaluate import attempted, chosen_trials, group_o
 from doojax.experiments.trials.record_files import load_record, save_record
 from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.scenes import SceneSet, draw_scenes
-from doojax.experiments.trials.trial import Trials, TrialSettings
+from doojax.experiments.trials.setting import Trials, TrialSettings
 from doojax.files import alone_in, room_explained, write_whole
 from doojax.learning.runs import RunDirectory
 from doojax.planning import RrtSettings

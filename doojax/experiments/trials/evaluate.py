@@ -30,7 +30,8 @@ from doojax.experiments.trials.record_files import save_record
 from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.scenes import SceneSet, load_scenes, save_scenes, scene_file
 from doojax.experiments.trials.seen import Seen, check_unseen, warning_of
-from doojax.experiments.trials.trial import CRASHED, Method, Trials, TrialSettings, crashed, run_trials
+from doojax.experiments.trials.setting import Method, Trials, TrialSettings
+from doojax.experiments.trials.trial import CRASHED, crashed, run_trials
 from doojax.files import alone_in, claim, file_digest
 from doojax.keys import check_seed
 from doojax.planning import RrtSettings, require_reachable

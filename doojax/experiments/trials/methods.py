@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from doojax.experiments.trials.trial import Method
+from doojax.experiments.trials.setting import Method
 from doojax.learning.checkpoints import Header
 from doojax.models import Always, CollisionChecker, Stricter
 from doojax.planning import simulated, simulated_start

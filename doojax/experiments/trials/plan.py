@@ -16,7 +16,8 @@ from doojax.experiments.trials.methods import find_models, make_method, needed_m
 from doojax.experiments.trials.record_files import save_record
 from doojax.experiments.trials.scenes import FOLDER, load_scenes
 from doojax.experiments.trials.seen import check_unseen, warning_of
-from doojax.experiments.trials.trial import Trials, TrialSettings, run_trials
+from doojax.experiments.trials.setting import Trials, TrialSettings
+from doojax.experiments.trials.trial import run_trials
 from doojax.keys import check_seed, stream
 from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem
 from doojax.simulation.engines import resolve_engine

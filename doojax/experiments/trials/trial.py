@@ -8,22 +8,21 @@ planning took are noted beside.
 """
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
 from doojax.actions import nothing_of
-from doojax.experiments.trials.log import REACHED as REACHED
-from doojax.experiments.trials.log import Log, element, record_plan
+from doojax.experiments.trials.execution import Moves, carry_out, distances
+from doojax.experiments.trials.log import REACHED, Log, element, record_plan
 from doojax.experiments.trials.records import TrialRecord
+from doojax.experiments.trials.setting import Method, Trials, TrialSettings
 from doojax.keys import numbered, stream
-from doojax.models.protocols import Dynamics, Recovery, Reliability
 from doojax.parts import in_threads
 from doojax.planning import (
     Goal,
@@ -37,9 +36,9 @@ from doojax.planning import (
     search,
     shortened,
 )
-from doojax.planning.memory import refuting, remembered
+from doojax.planning.memory import remembered
 from doojax.planning.recovery import recovery_action
-from doojax.simulation.state import Fault, SimState, Simulator
+from doojax.simulation.state import SimState, Simulator
 from doojax.tasks.base import Task, observed
 from doojax.types import Obstacles, State
 
@@ -47,56 +46,7 @@ CRASHED = "crashed"
 NOT_EXECUTED = "the plan was not to be executed"
 NOT_WANTED = "not wanted"
 STUCK = "stuck, and there is no recovery"
-MOST = 1_000_000  # searches or actions
-BROKEN = int(Fault.NOT_FINITE | Fault.UNSTABLE)
 ANYWHERE = 1e6  # m, the tolerance of a goal for which a search ends before it begins
-
-
-@dataclass(frozen=True, eq=False)
-class Method:
-    """With what a trial is planned."""
-
-    name: str
-    dynamics: Dynamics | HostDynamics
-    reliability: Reliability
-    recovery: Recovery | None = None  # None: a trial that is stuck is given up
-    begin: Callable[[Simulator, SimState], State] = observed  # the state that a plan starts from
-    error_threshold_m: float | None = None  # of the model error, below which a prediction counts as right
-
-
-@dataclass(frozen=True)
-class TrialSettings:
-    """When a trial ends."""
-
-    searches: int = 10
-    actions: int = 200  # executed control periods, recoveries included
-    replan_distance: float | None = None  # m, RMS over points, from the plan: beyond it, execution stops
-
-    def __post_init__(self):
-        """Refuse what tries nothing."""
-        for name in ("searches", "actions"):
-            if not 1 <= getattr(self, name) <= MOST:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 1 to {MOST:,}")
-        if self.replan_distance is not None and not self.replan_distance > 0:
-            raise ValueError(f"replan_distance is {self.replan_distance}, expected a positive length (m)")
-
-
-class Trials(NamedTuple):
-    """R trials that run side by side."""
-
-    starts: SimState
-    goals: Goal
-    numbers: Sequence[int]  # with the seed, they say what is random in each trial
-    seed: int = 0
-    wanted: Sequence[bool] | None = None  # by default all are; the others fill up the batch and end at once
-    purpose: str = "trials"  # what for: the random stream's name
-
-
-class Moves(NamedTuple):
-    """Actions to execute, and where all bodies (m) were predicted to be before and after, if they were."""
-
-    actions: Float[np.ndarray, "t ..."]
-    predicted: Float[np.ndarray, "t1 K 3"] | None = None
 
 
 def run_trials(
@@ -172,7 +122,7 @@ def run_trials(
                 moves[i] = Moves(np.asarray(action)[None])
                 logs[i].recoveries += 1
                 logs[i].note("recover", "nothing that was tried is reliable")
-        states, seen = _execute(simulator, states, seen, goals, logs, moves, settings, limits)
+        states, seen = carry_out(simulator, states, seen, goals, logs, moves, settings, limits)
     return [
         _record(task, method, log, trials, i, *element((obstacles, trials.starts, goals), i))
         for i, log in enumerate(logs)
@@ -186,7 +136,7 @@ def crashed(
     seen = observed(simulator, trials.starts)
     here = element((jax.vmap(simulator.obstacles)(trials.starts), trials.starts, trials.goals), 0)
     log = Log([np.asarray(seen.bodies()[0])], seen.passive)
-    log.missing = float(_distances(trials.goals, seen)[0])
+    log.missing = float(distances(trials.goals, seen)[0])
     log.stop(f"{CRASHED}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}")
     record = _record(task, method, log, trials, 0, *here)
     return replace(record, about={**record.about, "traceback": details})
@@ -198,15 +148,10 @@ def _turn_keys(keys: Array, turn: Int[Array, ""]) -> tuple[Array, Array]:
     return split[:, 0], split[:, 1]
 
 
-@jax.jit
-def _distances(goals: Goal, states: State) -> Float[Array, "R"]:
-    return jax.vmap(lambda goal, state: goal.distance(state))(goals, states)
-
-
 def _judge(logs: Sequence[Log], goals: Goal, seen: State, turn: int, settings: TrialSettings) -> None:
     """End the trials that are at their goal, or have nothing left to try."""
     tolerances = np.asarray(goals.tolerance)
-    for log, missing, tolerance in zip(logs, np.asarray(_distances(goals, seen)), tolerances, strict=True):
+    for log, missing, tolerance in zip(logs, np.asarray(distances(goals, seen)), tolerances, strict=True):
         log.missing = float(missing) if np.isfinite(missing) else log.missing
         if log.end is not None:
             continue
@@ -233,57 +178,6 @@ def _noted_plan(log: Log, planner: Rrt, found: tuple[Problem, Tree], keep_trees:
     return plan
 
 
-def _execute(
-    simulator: Simulator,
-    states: SimState,
-    seen: State,
-    goals: Goal,
-    logs: Sequence[Log],
-    moves: Sequence[Moves],
-    settings: TrialSettings,
-    limits: Float[np.ndarray, "R"],
-) -> tuple[SimState, State]:
-    """Execute every trial's actions until its goal is reached, one control period of all trials at a time."""
-    tolerances = np.asarray(goals.tolerance)
-    left = [len(move.actions) for move in moves]
-    for step in range(max(left)):
-        actions = np.zeros((len(logs), *moves[0].actions.shape[1:]), np.float32)
-        moving = np.zeros(len(logs), dtype=bool)
-        for i, log in enumerate(logs):
-            if log.end is None and step < left[i] and len(log.actions) < settings.actions:
-                actions[i], moving[i] = moves[i].actions[step], True
-        if not moving.any():
-            break
-        last, trajectory = simulator.rollout(states, jnp.asarray(actions)[:, None])
-        here = jax.tree.map(lambda leaf: leaf[:, -1], trajectory.states)
-        broken = (np.asarray(trajectory.faults)[:, -1] & BROKEN) != 0
-        # of a trial that breaks the last sound state stays: it says how far the goal was
-        states, seen = _where(moving & ~broken, (last, here), (states, seen))
-        bodies = np.asarray(here.bodies())
-        missing = np.asarray(_distances(goals, here))
-        for i in np.flatnonzero(moving).tolist():
-            log, predicted = logs[i], moves[i].predicted
-            before, after = log.bodies[-1], bodies[i]
-            log.actions.append(actions[i])
-            log.bodies.append(after)
-            if broken[i]:
-                log.stop("the simulation became unstable")
-                continue
-            if predicted is not None:
-                outcome = refuting(before, after, predicted[step : step + 2], float(limits[i]))
-                log.refuted += [outcome] if outcome else []
-            if missing[i] <= tolerances[i]:
-                log.missing = float(missing[i])
-                log.stop(REACHED)
-            elif predicted is not None and settings.replan_distance is not None:
-                gaps = (after - predicted[step + 1])[: log.passive]
-                off = float(np.sqrt((gaps**2).sum(-1).mean()))
-                if off > settings.replan_distance and step + 1 < left[i]:
-                    left[i] = 0
-                    log.note("replan", f"{100 * off:.1f} cm from where the plan had the rope")
-    return states, seen
-
-
 def _record(
     task: Task,
     method: Method,
@@ -298,10 +192,3 @@ def _record(
     about = {"trial": int(trials.numbers[index]), **record.about}
     about["error_threshold_m"] = method.error_threshold_m
     return replace(record, method=method.name, seed=trials.seed, about=about)
-
-
-def _where(mask: np.ndarray, yes: Any, no: Any) -> Any:
-    def choose(a, b):
-        return jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b)
-
-    return jax.tree.map(choose, yes, no)

@@ -19,7 +19,7 @@ from doojax.experiments.trials.evaluate import attempted, evaluate, group_of, re
 from doojax.experiments.trials.methods import RECIPES
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.scenes import FOLDER, draw_scenes, save_scenes, scene_file
-from doojax.experiments.trials.trial import Method
+from doojax.experiments.trials.setting import Method
 from tests.planning.problems import BLIND, Towed
 
 from .test_trial import counted
@@ -139,7 +139,10 @@ class Poisoned:
     def many(self, obstacles, states, actions):
         if np.any(np.all(np.asarray(states.points[:, :, 0]) == self.tail, axis=-1)):
             raise RuntimeError("no such rope\nand more")
-        return jax.vmap(jax.vmap(Towed(), in_axes=(None, 0, 0)))(obstacles, states, actions)
+        return towed(obstacles, states, actions)
+
+
+towed = jax.jit(jax.vmap(jax.vmap(Towed(), in_axes=(None, 0, 0))))
 
 
 def test_a_trial_that_crashes_is_recorded_and_takes_no_other_along():

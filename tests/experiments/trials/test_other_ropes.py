@@ -11,7 +11,7 @@ from doojax.experiments.trials.plan import plan
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.replay import replay as executed_again
 from doojax.experiments.trials.scenes import FOLDER, load_scenes, save_scenes
-from doojax.experiments.trials.trial import TrialSettings
+from doojax.experiments.trials.setting import TrialSettings
 from doojax.planning import RrtSettings
 from doojax.tasks import make_task
 from doojax.tasks.ropes import OtherRope

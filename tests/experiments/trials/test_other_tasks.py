@@ -14,7 +14,8 @@ from doojax.experiments.trials.outcomes import read_evaluation
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.replay import replay
 from doojax.experiments.trials.scenes import SceneSet, save_scenes
-from doojax.experiments.trials.trial import Method, Trials, TrialSettings, run_trials
+from doojax.experiments.trials.setting import Method, Trials, TrialSettings
+from doojax.experiments.trials.trial import run_trials
 from doojax.goals import goal_of
 from doojax.learning.data import load_split
 from doojax.learning.fit import FitConfig, fit

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import Array
 
 from doojax.datasets.collect import collect
 from doojax.datasets.store import Dataset
@@ -27,7 +28,7 @@ class Carried(eqx.Module):
 class Above(eqx.Module):
     """Accepts what ends above some y: ropes far below are stuck until they have come near."""
 
-    threshold: float
+    threshold: Array  # what differs between tests is data, so that what is compiled serves them all
 
     def __call__(self, obstacles, transition):
         return above(transition.next_state.grippers[0, 1], self.threshold)
@@ -36,7 +37,7 @@ class Above(eqx.Module):
 class Along(eqx.Module):
     """A recovery that prefers to go up or down."""
 
-    direction: float
+    direction: Array
 
     def __call__(self, obstacles, state, action):
         return self.direction * action[0, 1]
@@ -50,12 +51,13 @@ def data(tmp_path_factory) -> Dataset:
 
 
 def measured(data: Dataset, recovery, above: float = 0.0, seed: int = 0) -> dict:
-    rows = recovery_rows(data, load_split(data, "test"), Carried(), Above(above), recovery, TAGS, seed=seed)
+    judge, test = Above(jnp.array(above)), load_split(data, "test")
+    rows = recovery_rows(data, test, Carried(), judge, recovery, TAGS, seed=seed)
     return {(row.metric, row.tags.get("policy"), row.tags.get("actions")): row for row in rows}
 
 
 def test_going_towards_what_is_accepted_frees_sooner_than_chance_and_away_later(data):
-    up, down = measured(data, Along(1.0), NEAR), measured(data, Along(-1.0), NEAR)
+    up, down = (measured(data, Along(jnp.array(way)), NEAR) for way in (1.0, -1.0))
     for most in (1, MOST_ACTIONS):
         learned, chance, wrong = (
             found["unstuck_probability", policy, most].value

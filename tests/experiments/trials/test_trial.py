@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from doojax.experiments.trials.log import REACHED
 from doojax.experiments.trials.record_files import load_record, save_record
 from doojax.experiments.trials.replay import replay
-from doojax.experiments.trials.trial import REACHED, STUCK, Method, TrialSettings, run_trials
+from doojax.experiments.trials.setting import Method
+from doojax.experiments.trials.trial import STUCK, run_trials
 from doojax.simulation.state import Fault
 from doojax.tasks.toy import ToySimulator
 from tests.planning.problems import BLIND
@@ -188,19 +190,6 @@ def test_a_simulation_that_breaks_down_ends_its_trial_alone(tmp_path, ends):
     before = np.linalg.norm(broken.points[-2] - broken.goal, axis=-1)  # of the last sound state
     assert broken.about["final_error_m"] == pytest.approx(before[TOY.goal_point]) and not broken.reached
     save_record(tmp_path / "broken.npz", broken)  # it can be kept and looked at
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "expected"),
-    [
-        ("searches", 0, "searches is 0, expected 1 to 1,000,000"),
-        ("actions", 0, "actions is 0, expected 1 to 1,000,000"),
-        ("replan_distance", 0.0, "replan_distance is 0.0, expected a positive length"),
-    ],
-)
-def test_budgets_of_zero_are_refused(name, value, expected):
-    with pytest.raises(ValueError, match=expected):
-        TrialSettings(**{name: value})
 
 
 def test_a_record_without_its_actions_cannot_be_executed_again():

@@ -5,7 +5,8 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 
-from doojax.experiments.trials.trial import Method, Trials, TrialSettings, run_trials
+from doojax.experiments.trials.setting import Method, Trials, TrialSettings
+from doojax.experiments.trials.trial import run_trials
 from doojax.planning import RrtSettings, simulated, simulated_start
 from doojax.planning.recovery import RandomRecovery
 from doojax.tasks import make_task, point_goal
