@@ -2,11 +2,17 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
+from mujoco import mjx
 
+from doojax.simulation.build import build_model
 from doojax.simulation.engines import make_simulator
+from doojax.simulation.engines.mjx import MjxSimulator
+from doojax.simulation.engines.mujoco import write_state
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Obstacle, Scene, Shape, SolverSettings
 from doojax.simulation.state import Fault
@@ -36,7 +42,7 @@ def cluttered_scene() -> Scene:
 
 
 def lowered(scene: Scene, engine: str):
-    """The rope, brought down beyond the top of a box under its middle."""
+    """The rope, brought down beyond the top of a box under its middle: the last states, and what was seen."""
     states = straight_states(scene, 1, height=TOP + 0.16)
     far = [(0.5 + 0.1 * i, 0.5, TOP + 0.05) for i in range(7)]
     places = jnp.array([[(0.0, 0.0, TOP - 0.05), *far, (0.0, 0.0, TOP + 0.05)]])
@@ -44,17 +50,49 @@ def lowered(scene: Scene, engine: str):
     states = replace(states, obstacle_position=places, obstacle_quaternion=upright)
     down = jnp.array([[[0.0, 0, -0.055], [0.0, 0, -0.055]]])
     actions = jnp.stack([down, 0 * down], axis=1)
-    return make_simulator(scene, no_start, engine).rollout(states, actions)[1]
+    return make_simulator(scene, no_start, engine).rollout(states, actions)
 
 
 @pytest.fixture(scope="module")
 def on_c():
-    return lowered(cluttered_scene(), "mujoco")
+    return lowered(cluttered_scene(), "mujoco")[1]
 
 
-def test_a_rope_rests_on_a_box_on_a_table_as_on_c(on_c):
+def touching(model: mujoco.MjModel, geoms, depths) -> dict[tuple[str, ...], list[float]]:
+    """Of each pair of geoms that touch, by name: how deep each contact is (m), the deepest first."""
+    found = {}
+    for pair, depth in zip(np.asarray(geoms), np.asarray(depths), strict=True):
+        if depth < 0:
+            found.setdefault(tuple(sorted(model.geom(int(geom)).name for geom in pair)), []).append(depth)
+    return {pair: sorted(values) for pair, values in found.items()}
+
+
+def test_where_a_rope_rests_on_a_box_on_a_table_mjx_finds_what_c_finds():
     """The 24 pairs (of 33) whose bounding spheres overlap most leave out some that touch."""
-    on_mjx = lowered(cluttered_scene(), "mjx")
+    scene = cluttered_scene()
+    state = jax.tree.map(lambda leaf: leaf[0], lowered(scene, "mujoco")[0])
+    model, simulator = build_model(scene), MjxSimulator(scene, no_start)
+    write_state(model, simulator.layout, jax.tree.map(np.asarray, state))
+    data = mujoco.MjData(model)
+    data.qpos[:] = state.qpos
+    mujoco.mj_fwdPosition(model, data)
+
+    @jax.jit
+    def contacts(state):
+        model, data = simulator._load(state)
+        found = mjx.collision(model, mjx.kinematics(model, data))._impl.contact
+        return found.geom, found.dist
+
+    by_c, by_mjx = touching(model, data.contact.geom, data.contact.dist), touching(model, *contacts(state))
+    assert len(by_c) >= 1 and all("box7" in " ".join(pair) for pair in by_c)
+    assert by_mjx.keys() == by_c.keys()
+    for pair, depths in by_c.items():
+        assert by_mjx[pair][0] == pytest.approx(depths[0], abs=1e-5), pair
+
+
+@pytest.mark.slow
+def test_a_rope_rests_on_a_box_on_a_table_as_on_c(on_c):
+    on_mjx = lowered(cluttered_scene(), "mjx")[1]
     np.testing.assert_allclose(on_mjx.states.points, on_c.states.points, atol=1e-3)
     assert float(on_mjx.states.points[0, -1, 1, 2]) == pytest.approx(TOP + 0.1 + 0.01, abs=2e-3)
     assert not on_mjx.faults.any()

@@ -13,7 +13,9 @@ from mujoco import mjx
 from doojax.simulation.build import build_model
 from doojax.simulation.engines import make_simulator
 from doojax.simulation.engines.implicit import _forces, _residual
-from doojax.simulation.scenes import SolverSettings
+from doojax.simulation.rope import RopeModel
+from doojax.simulation.scenes import Gripper, Obstacle, Shape, SolverSettings
+from doojax.types import ShapeKind
 from tests.simulation.scenes import no_start, planar_scene, straight_states
 
 STEP = 1e-6
@@ -32,10 +34,26 @@ def in_double(tree):
     return jax.tree.map(lambda x: x.astype(float) if x.dtype == jnp.float32 else x, tree)
 
 
-@pytest.fixture(scope="module", params=["pyramidal", pytest.param("elliptic", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module",
+    params=[
+        (True, "pyramidal"),  # a wall is a plane, with which collisions compile sooner
+        pytest.param((False, "pyramidal"), marks=pytest.mark.slow),
+        pytest.param((False, "elliptic"), marks=pytest.mark.slow),
+    ],
+    ids=["wall", "cube", "cube-elliptic"],
+)
 def compiled(request, x64):
     """Where gripper and tail are after a step, the derivatives of that by the action, and the state there."""
-    scene = replace(planar_scene(substeps=20), solver=SolverSettings(cone=request.param))
+    wall, cone = request.param
+    cube = Obstacle("cube", (Shape(ShapeKind.BOX, (0.05, 0.05, 0.05), wall=wall),))
+    scene = planar_scene(
+        substeps=20,
+        rope_model=RopeModel("planar_chain", 3),  # MJX unrolls what goes from link to link
+        grippers=(Gripper(link=2, end=1, radius=0.02, max_force=10.0, max_speed=0.18),),
+        obstacles=(cube,),
+        solver=SolverSettings(cone=cone),
+    )
     simulator = make_simulator(scene, start=no_start, engine="mjx")
 
     def reached(state, action):
@@ -57,19 +75,18 @@ def compiled(request, x64):
 
 @pytest.fixture(scope="module")
 def cases(compiled):
-    """Pushed along while free, at rest, and pressed on a cube for 3 s."""
+    """Pushed along while free, at rest, and pressed on the cube's face, or the wall's, for 3 s."""
     scene, forward, _ = compiled
     straight = in_double(jax.tree.map(lambda leaf: leaf[0], straight_states(scene, 1)))
     state = replace(
         straight,
         obstacle_position=jnp.array([[0.17, 0.01, 0.05]]),
-        obstacle_quaternion=jnp.array([[1.0, 0.0, 0.0, 0.0]]),
+        obstacle_quaternion=jnp.array([[0.0, 0.0, 0.0, 1.0]]),  # its own +x face looks at the gripper
     )
     for _ in range(30):
         state = forward(state, PRESS)[2]
-    assert (
-        abs(forward(state, PRESS)[0][0] - 0.1) < 1e-3
-    )  # the cube's face is at 0.12 m, the gripper's radius 0.02
+    # the face is at 0.12 m, the gripper's radius 0.02
+    assert abs(forward(state, PRESS)[0][0] - 0.1) < 1e-3
     return {"free": (straight, PRESS), "at rest": (straight, 0.0 * PRESS), "pressed": (state, PRESS)}
 
 
@@ -80,7 +97,7 @@ def test_forward_mode_agrees_with_finite_differences(compiled, cases):
         for axis, along in enumerate(STEP * np.eye(2)):
             numeric = (forward(state, action + along)[0] - forward(state, action - along)[0]) / (2 * STEP)
             assert jnp.abs(slopes[name][:, axis] - numeric).max() < 1e-5
-    assert jnp.abs(slopes["pressed"][:, 0]).max() < 1e-6  # the cube does not give way
+    assert jnp.abs(slopes["pressed"][:, 0]).max() < 1e-6  # the face does not give way
     assert slopes["pressed"][1, 1] > 0.05  # but the gripper slides along it
 
 
