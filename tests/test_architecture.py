@@ -113,10 +113,9 @@ def complaints(source: str, module: str, is_package: bool = False) -> Iterator[t
 
 def habits(node: ast.AST, here: str) -> Iterator[str]:
     """What is wrong with one node of the source, whatever it imports."""
-    text = ast.unparse(node) if isinstance(node, ast.expr | ast.stmt) else ""
     if isinstance(node, ast.Assert):
         yield "asserts, which python -O drops; raise an error that says what to do"
-    if isinstance(node, ast.Attribute) and text.endswith("random.PRNGKey"):
+    if isinstance(node, ast.Attribute) and ast.unparse(node).endswith("random.PRNGKey"):
         yield "uses PRNGKey; use jax.random.key"
     if here in NO_PHASE and isinstance(node, ast.Constant) and node.value in ("constrained", "unconstrained"):
         yield f"names the phase {node.value!r}; a task's phase is bound when it is made"

@@ -1,9 +1,7 @@
 """Collecting: what is refused, what is replayed, and what a kill leaves behind."""
 
 import hashlib
-import random
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -33,21 +31,22 @@ def digest(folder: Path) -> dict[str, str]:
 
 
 def test_killed_and_resumed_collections_have_the_bytes_of_an_uninterrupted_one(tmp_path):
+    """Killed when some shards are complete; test_kill_resume stops a writer anywhere."""
     whole, broken = tmp_path / "whole", tmp_path / "broken"
-    began = time.monotonic()
-    subprocess.run([*COMMAND, "--out", str(whole)], check=True, capture_output=True)
-    lasts = time.monotonic() - began
-    moments = random.Random(0)
-    for _ in range(5):
-        process = subprocess.Popen(
-            [*COMMAND, "--out", str(broken)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        time.sleep(moments.uniform(0.3, 0.8) * lasts)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    subprocess.run([*COMMAND, "--out", str(broken)], check=True, capture_output=True)
+    collect("toy", trajectories=640, states=8, out=whole)
+    process = subprocess.Popen(
+        [*COMMAND, "--out", str(broken)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        limit = time.monotonic() + 200
+        while len(list(broken.glob("shards/*.json"))) < 2:
+            assert process.poll() is None and time.monotonic() < limit
+            time.sleep(0.002)
+    finally:
+        process.kill()
+        said = process.communicate()[1]
+    assert 2 <= len(list(broken.glob("shards/*.json"))) < 10, said
+    collect("toy", trajectories=640, states=8, out=broken)
     assert digest(broken) == digest(whole)
 
 

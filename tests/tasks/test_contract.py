@@ -13,7 +13,7 @@ from doojax.geometry.sdf import signed_distance
 from doojax.tasks import TASKS, make_task, point_goal
 from doojax.types import State
 
-BATCH, PERIODS = 16, 4
+BATCH, PERIODS = 8, 4
 PHASES = ("unconstrained", "constrained")
 
 
