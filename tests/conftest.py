@@ -3,8 +3,9 @@
 import jax
 import pytest
 
-# Two workers take one file at a time: one that takes minutes and begins last would keep the other waiting.
-DEAREST = ("test_derivatives", "test_kill_resume", "test_contract", "test_page", "test_train", "test_trial")
+# Two workers take one file at a time: one that takes long and begins last would keep the other waiting.
+DEAREST = {f"test_{name}" for name in ("derivatives", "contract", "evaluate", "trial", "documents", "page")}
+DEAREST |= {f"test_{name}" for name in ("other_tasks", "rrt", "recovery", "scenes", "fuzz", "seen", "train")}
 
 
 def pytest_collection_modifyitems(items):
