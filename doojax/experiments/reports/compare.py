@@ -33,7 +33,8 @@ from doojax.experiments.reports.tables import cells
 from doojax.experiments.trials.executed import wrong_among_accepted
 from doojax.experiments.trials.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
 from doojax.experiments.trials.scenes import SceneSet, load_scenes, rule
-from doojax.experiments.trials.trial import CRASHED, TrialSettings
+from doojax.experiments.trials.setting import TrialSettings
+from doojax.experiments.trials.trial import CRASHED
 from doojax.files import write_whole
 
 ORACLE = "oracle"
