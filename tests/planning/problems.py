@@ -10,6 +10,7 @@ from doojax.geometry.frames import quaternion_from_yaw
 from doojax.geometry.sdf import signed_distance
 from doojax.models.protocols import above
 from doojax.planning import Problem
+from doojax.planning.memory import remembered
 from doojax.tasks import make_task, point_goal
 from doojax.tasks.toy import HEIGHT, PITCH, straight
 from doojax.types import Obstacles, RopeState, ShapeKind
@@ -78,6 +79,7 @@ def problem(*, start=(-0.3, 0.0), angle=0.0, goal=(-0.2, 0.2), obstacles=None, s
         start=RopeState(points, points[-1:]),
         goal=point_goal(TOY, jnp.array([*goal, HEIGHT])),
         key=jax.random.key(seed),
+        refuted=remembered([], 6),  # none yet; a search of a trial is compiled with it, too
     )
 
 

@@ -73,9 +73,7 @@ LUCKY = replace(SMALL, random_accept=0.2)  # in all searches, so that one compil
 
 def searched(outcomes=(), spread=0.0, threshold=-jnp.inf, margin=-jnp.inf, **where):
     known = jax.tree.map(lambda leaf: jnp.stack([leaf] * SIDE_BY_SIDE), remembered(list(outcomes), 6))
-    taught = eqx.tree_at(
-        lambda p: p.refuted, batch(problem(**where)), known, is_leaf=lambda leaf: leaf is None
-    )
+    taught = eqx.tree_at(lambda p: p.refuted, batch(problem(**where)), known)
     judge = Conjunction((Clearance(jnp.array(threshold)), CollisionChecker(jnp.array(margin))))
     tree = element(search(Rrt(Unsure(spread=jnp.array(spread)), judge, TOY, LUCKY), taught), 0)
     return tree, plan_of(tree)

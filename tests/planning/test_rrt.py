@@ -23,7 +23,8 @@ from .problems import BLIND, CAREFUL, SIDE_BY_SIDE, TIMID, TOY, TRACES, Towed, b
 MARGIN = float(CAREFUL.threshold)
 SMALL = RrtSettings(lanes=16, extensions=480, duration=8, candidates=2, stuck_after=16)
 PLANNER = Rrt(Towed(), CAREFUL, TOY, SMALL)
-LUCKY = Rrt(Towed(), CAREFUL, TOY, replace(SMALL, random_accept=0.2))
+RARE = replace(SMALL, stuck_after=40, random_accept=0.02)
+LUCKY = Rrt(Towed(), CAREFUL, TOY, RARE)
 
 
 def digest(tree) -> str:
@@ -135,6 +136,7 @@ def test_a_tree_does_not_depend_on_its_neighbours(search):
         assert np.array_equal(mine, yours, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_the_tree_is_the_same_on_any_device_of_any_number():
     code = """
 import jax, sys
@@ -164,23 +166,19 @@ def test_where_everything_is_rejected_the_start_counts_as_stuck_at_once():
     assert (plan.status, plan.extensions, plan.accepted, len(plan.actions)) == ("stuck", 16, 0, 0)
 
 
-def test_a_first_success_just_before_the_start_would_count_as_stuck_keeps_the_search_going():
+def test_luck_lets_pass_as_many_as_asked_for_and_a_late_first_one_keeps_the_search_going():
     # Three expansions of 16 are tried before 40 attempts are over; only luck accepts anything.
-    rare = replace(SMALL, stuck_after=40, random_accept=0.02)
-    ends = {}
+    ends, tried, accepted = {}, 0, 0
     for seed in range(40):
-        tree = element(search(Rrt(Towed(), TIMID, TOY, rare), batch(problem(seed=seed))), 0)
+        tree = element(search(Rrt(Towed(), TIMID, TOY, RARE), batch(problem(seed=seed))), 0)
         first = np.flatnonzero(np.asarray(tree.accepted)[1:])
         ends[first[0] // 16 if len(first) else 3] = bool(tree.stuck), int(tree.used)
-    assert ends[2] == (False, 1 + rare.extensions)
+        plan = plan_of(tree)
+        tried, accepted = tried + plan.extensions, accepted + plan.accepted
+    assert ends[2] == (False, 1 + RARE.extensions)
     assert ends[3] == (True, 1 + 48)
-
-
-def test_random_accepts_are_as_many_as_asked_for():
-    planner = Rrt(Towed(), TIMID, TOY, replace(SMALL, random_accept=0.25))
-    plan = plan_of(element(search(planner, batch(problem(goal=(0.45, 0.45)))), 0))
-    assert plan.extensions == 480
-    assert abs(plan.accepted / 480 - 0.25) < 3 * (0.25 * 0.75 / 480) ** 0.5
+    # of a sum with a rule when to stop the mean is what it is without one
+    assert abs(accepted / tried - 0.02) < 3 * (0.02 * 0.98 / tried) ** 0.5
 
 
 def test_at_the_goal_already_the_plan_is_empty():

@@ -1,5 +1,7 @@
 """Evaluation scenes are none that models learned from, and where they are, it is said."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -102,7 +104,9 @@ def test_models_that_do_not_say_what_they_saw_are_marked(tmp_path):
 
 def test_evaluate_and_plan_refuse_scenes_that_a_model_saw(tmp_path, capsys):
     models(tmp_path / "models", [SCENES, {"stream": "plan", "seed": 8}])
-    save_scenes(tmp_path / "toy.scenes", draw_scenes(TOY, 2, 3))
+    drawn = draw_scenes(TOY, 2, 3)  # whose goals are reached at once, so that nothing need be planned
+    goals = eqx.tree_at(lambda g: g.tolerance, drawn.goals, np.full(2, 9.0, np.float32))
+    save_scenes(tmp_path / "toy.scenes", replace(drawn, goals=goals))
     options = {"models": tmp_path / "models", "planning": PLANNING, "budget": SETTINGS}
     common = {"methods": ("classifier",), "scenes": tmp_path / "toy.scenes", **options}
     with pytest.raises(ValueError, match=r"draw others by doojax scenes --seed, or mark the results"):
