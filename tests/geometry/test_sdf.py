@@ -1,4 +1,5 @@
 import inspect
+import math
 import operator
 
 import equinox as eqx
@@ -32,8 +33,13 @@ derived = jax.jit(jax.vmap(jax.grad(signed_distance, argnums=1), (None, 0)))
 
 
 @jax.jit
+def described(obstacles, points):
+    """The distance and, in the three next columns, its written derivatives."""
+    return jnp.stack(signed_distance_and_gradient(obstacles, *points.T), axis=-1)
+
+
 def written(obstacles, points):
-    return jnp.stack(signed_distance_and_gradient(obstacles, *points.T)[1:], axis=-1)
+    return described(obstacles, points)[:, 1:]
 
 
 both_gradients = pytest.mark.parametrize("gradient", [derived, written], ids=["derived", "written"])
@@ -212,9 +218,10 @@ def test_the_written_gradient_comes_with_the_same_distance_in_any_shape(shape):
     rng = np.random.default_rng(7)
     obstacles, points = random_obstacles(rng), jnp.asarray(rng.uniform(-0.8, 0.8, (*shape, 3)), float)
     found, *slope = signed_distance_and_gradient(obstacles, *jnp.moveaxis(points, -1, 0))
-    np.testing.assert_allclose(found, signed_distance(obstacles, points), atol=1e-7)
-    flat = derived(obstacles, points.reshape(-1, 3))
-    np.testing.assert_allclose(jnp.stack(slope, axis=-1).reshape(-1, 3), flat, atol=1e-6)
+    again, count = np.resize(points, (COUNT, 3)), math.prod(shape)  # all of them, over and over
+    np.testing.assert_allclose(np.ravel(found), distance(obstacles, again)[:count], atol=1e-7)
+    flat = np.stack(slope, axis=-1).reshape(-1, 3)
+    np.testing.assert_allclose(flat, derived(obstacles, again)[:count], atol=1e-6)
 
 
 def test_coordinates_of_different_shapes_are_refused_with_and_without_obstacles():
@@ -228,11 +235,11 @@ def test_coordinates_of_different_shapes_are_refused_with_and_without_obstacles(
 
 def test_the_written_gradient_of_many_scenes_at_once_is_that_of_each():
     scenes = [random_obstacles(np.random.default_rng(seed)) for seed in range(3)]
-    points = jnp.asarray(np.random.default_rng(3).uniform(-0.8, 0.8, (3, 3, 7)), float)
+    points = jnp.asarray(np.random.default_rng(3).uniform(-0.8, 0.8, (3, COUNT, 3)), float)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenes)
-    together = jax.vmap(lambda scene, point: jnp.stack(signed_distance_and_gradient(scene, *point)))
-    each = [jnp.stack(signed_distance_and_gradient(s, *p)) for s, p in zip(scenes, points, strict=True)]
-    np.testing.assert_allclose(together(stacked, points), jnp.stack(each), atol=1e-6)
+    together = jax.jit(jax.vmap(described))(stacked, points)
+    each = [described(scene, point) for scene, point in zip(scenes, points, strict=True)]
+    np.testing.assert_allclose(together, each, atol=1e-6)
 
 
 def test_the_written_gradient_can_itself_be_differentiated():
