@@ -13,8 +13,7 @@ from mujoco import mjx
 from doojax.simulation.build import build_model
 from doojax.simulation.engines import make_simulator
 from doojax.simulation.engines.implicit import _forces, _residual
-from doojax.simulation.rope import RopeModel
-from doojax.simulation.scenes import Gripper, Obstacle, Shape, SolverSettings
+from doojax.simulation.scenes import Obstacle, Shape, SolverSettings
 from doojax.types import ShapeKind
 from tests.simulation.scenes import no_start, planar_scene, straight_states
 
@@ -47,13 +46,7 @@ def compiled(request, x64):
     """Where gripper and tail are after a step, the derivatives of that by the action, and the state there."""
     wall, cone = request.param
     cube = Obstacle("cube", (Shape(ShapeKind.BOX, (0.05, 0.05, 0.05), wall=wall),))
-    scene = planar_scene(
-        substeps=20,
-        rope_model=RopeModel("planar_chain", 3),  # MJX unrolls what goes from link to link
-        grippers=(Gripper(link=2, end=1, radius=0.02, max_force=10.0, max_speed=0.18),),
-        obstacles=(cube,),
-        solver=SolverSettings(cone=cone),
-    )
+    scene = planar_scene(substeps=20, obstacles=(cube,), solver=SolverSettings(cone=cone))
     simulator = make_simulator(scene, start=no_start, engine="mjx")
 
     def reached(state, action):
