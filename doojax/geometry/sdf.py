@@ -103,10 +103,10 @@ def signed_distances_and_gradients(
 
     Arguments and errors as for `signed_distance_and_gradient`.
     """
-    _require_one_set(obstacles)
+    require_one_set(obstacles)
     shape = (-1, *[1] * jnp.ndim(x))
-    numbers = jax.tree.map(lambda one: one.reshape(shape), _numbers(obstacles))
-    return _distance_and_gradient(numbers, x[None], y[None], z[None])
+    numbers = jax.tree.map(lambda one: one.reshape(shape), numbers_of(obstacles))
+    return distance_and_gradient(numbers, x[None], y[None], z[None])
 
 
 @jax.jit
