@@ -78,6 +78,10 @@ COMMANDS: Commands = {
         "doojax.experiments.training.evaluate:evaluate_model",
         "measure a trained model on data that it has not seen",
     ),
+    "predict": (
+        "doojax.experiments.training.predict:predict",
+        "record what a model predicts along stored trajectories, to look at where it is wrong",
+    ),
     "sweep-threshold": (
         "doojax.experiments.sweeps.threshold:sweep_threshold",
         "train classifiers for several thresholds and seeds at once, and measure them",

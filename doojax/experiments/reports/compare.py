@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from doojax.commands import AND, command_line
 from doojax.experiments.reports.provenance import noted_commands
@@ -79,7 +80,7 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
         _write_csv(out / f"{name}.csv", lines)
     _write_csv(out / "trials.csv", trial_table(outcomes, sizes))
     scene_lines, end_lines = scene_table(outcomes, sizes), end_table(outcomes)
-    trials = len(outcomes[0].trials)
+    trials, failures = len(outcomes[0].trials), why_table(outcomes)
     text = "\n".join(
         [
             f"# {task}: {len(outcomes)} methods on {trials} {kind}",
@@ -102,6 +103,7 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
             "## How trials ended",
             "",
             *_markdown(end_lines),
+            *(("", "## Why trials failed", "", *_markdown(failures)) if len(failures) > 1 else ()),
         ]
     )
     write_whole(out / "comparison.md", text + "\n")
@@ -134,12 +136,18 @@ def setting_tags(config: dict[str, Any]) -> dict[str, Any]:
 
 def show_briefly(outcomes: Sequence[Outcomes], title: str) -> None:
     """Print what fits on a terminal."""
-    table = Table("method", "success", "mean (m)", "median (m)", "recovery", "planning (s)", title=title)
+    heads = ("method", "success", "mean\n(m)", "median\n(m)", "recovery\nactions", "planning")
+    columns = (Column(head, no_wrap=True) for head in heads)  # all of it in a terminal of 80 columns
+    table = Table(*columns, title=title, box=SIMPLE_HEAD, pad_edge=False)
     for one in outcomes:
         figures = (f"{one.error.mean():.3f}", f"{np.median(one.error):.3f}")
         recoveries = str(one.counts["recovery_actions"].sum())
         table.add_row(
-            one.method, _percent(success_rate(one.success)), *figures, recoveries, f"{one.plan_s.mean():.2f}"
+            one.method,
+            _percent(success_rate(one.success)),
+            *figures,
+            recoveries,
+            f"{one.plan_s.mean():.2f} s",
         )
     Console().print(table)
 
@@ -205,6 +213,18 @@ def end_table(outcomes: Sequence[Outcomes]) -> list[list[str]]:
     return lines + [[reason, *(str(count[reason]) for count in counts)] for reason, _ in reasons]
 
 
+def why_table(outcomes: Sequence[Outcomes]) -> list[list[str]]:
+    """Heads and one line a failed trial, by scene."""
+    failed = [
+        (int(trial), one.method, f"{one.error[i]:.3f}", one.whys[i])
+        for one in outcomes
+        for i, trial in enumerate(one.trials)
+        if not one.success[i]
+    ]
+    failed.sort(key=lambda line: line[0])
+    return [["scene", "method", "error (m)", "why"], *([str(trial), *rest] for trial, *rest in failed)]
+
+
 def crash_lines(outcomes: Sequence[Outcomes]) -> list[str]:
     """One line for every method of which trials crashed: those are no findings about it."""
     lines = []
@@ -220,14 +240,14 @@ def crash_lines(outcomes: Sequence[Outcomes]) -> list[str]:
 
 def trial_table(outcomes: Sequence[Outcomes], sizes: dict[str, np.ndarray]) -> list[list[str]]:
     """Heads and one line a trial."""
-    lines = [["method", "trial", "success", "final_error_m", "plan_s", *COUNTS, "end", *sizes]]
+    lines = [["method", "trial", "success", "final_error_m", "plan_s", *COUNTS, "end", "why", *sizes]]
     for one in outcomes:
         for i, trial in enumerate(one.trials.tolist()):
             counted = [str(one.counts[name][i]) for name in COUNTS]
             measures = [f"{values[trial]:.4f}" for values in sizes.values()]
             figures = [f"{one.error[i]:.5f}", f"{one.plan_s[i]:.3f}"]
             start = [one.method, str(trial), str(bool(one.success[i])), *figures]
-            lines.append([*start, *counted, one.ends[i], *measures])
+            lines.append([*start, *counted, one.ends[i], one.whys[i], *measures])
     return lines
 
 

@@ -15,8 +15,10 @@ from operator import index
 from pathlib import Path
 from typing import Any, SupportsFloat, SupportsIndex
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
+from rich.text import Text
 
 from doojax.experiments.reports.checks import (
     check,
@@ -182,9 +184,11 @@ def show(rows: Sequence[Row], as_json: bool) -> None:
     if as_json:
         print(json.dumps([asdict(one) for one in rows], indent=1))
         return
-    table = Table("metric", "of", "value", "95 % interval", "unit")
+    numbers = (Column(name, no_wrap=True) for name in ("value", "95 % interval", "unit"))
+    table = Table("metric, of what", *numbers, box=SIMPLE_HEAD, pad_edge=False)
     for one in rows:
         tags = ", ".join(f"{name} {value}" for name, value in one.tags.items())
         interval = "" if one.low is None or one.high is None else f"{one.low:,.4g} to {one.high:,.4g}"
-        table.add_row(one.metric, tags, f"{one.value:,.4g}", interval, one.unit)
+        named = Text(one.metric, "bold") + Text(f"\n{tags}" if tags else "", "dim")  # whole at 80 columns
+        table.add_row(named, f"{one.value:,.4g}", interval, one.unit)
     Console().print(table)

@@ -18,6 +18,7 @@ from doojax.experiments.reports.statistics import bootstrap
 from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.experiments.training.deviation import deviation_figures, deviation_rows
 from doojax.experiments.training.pictures import draw_classifier, draw_deviation, draw_dynamics
+from doojax.experiments.trials.judges import UNLEARNED as UNLEARNED
 from doojax.experiments.trials.recovery import recovery_rows
 from doojax.keys import check_seed, generator
 from doojax.learning.checkpoints import Header, load_model
@@ -27,11 +28,9 @@ from doojax.learning.labels import Examples, LabelConfig, label
 from doojax.learning.metrics import Counts, auroc, counts, expected_calibration_error
 from doojax.learning.reliability import judged_kept, require_both_classes
 from doojax.learning.train import ALPHAS
-from doojax.models import Always, CollisionChecker
 from doojax.models.rolling import roll_out
 from doojax.types import Obstacles, RopeState
 
-UNLEARNED = {"always": Always, "collision_checker": CollisionChecker}
 RESAMPLES = 1000
 MEASURED = Path("measured")  # where pictures go that are not published
 

@@ -32,6 +32,7 @@ from doojax.experiments.trials.scenes import SceneSet, load_scenes, save_scenes,
 from doojax.experiments.trials.seen import Seen, check_unseen, warning_of
 from doojax.experiments.trials.setting import Method, Trials, TrialSettings
 from doojax.experiments.trials.trial import CRASHED, crashed, run_trials
+from doojax.experiments.trials.trial_list import line_of, note_trials
 from doojax.files import alone_in, claim, file_digest
 from doojax.keys import check_seed
 from doojax.planning import RrtSettings, require_reachable
@@ -171,6 +172,7 @@ def evaluate(
                     for i in fresh:
                         record = records[numbers.index(i)]
                         save_record(record_file(out, name, i), record)
+                        note_trials(out / name, [line_of(record, i)])
                         reached += record.reached
                         broken += [record.end] if record.end.startswith(CRASHED) else []
                     _note_seconds(out / name, len(fresh), time.perf_counter() - begun)

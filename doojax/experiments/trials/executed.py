@@ -1,6 +1,7 @@
 """What became of the transitions that plans were made of, when they were executed."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,6 +22,34 @@ def execution_errors(record: TrialRecord) -> list[Float[np.ndarray, "t"]]:
     steps = [plan.step for plan in record.plans] + [len(record.points) - 1]
     ends = zip(record.plans, steps[1:], strict=True)
     return [_errors(plan, record.points[plan.step : end + 1]) for plan, end in ends]
+
+
+class Followed(NamedTuple):
+    """What a trial's plans had to say of every executed state."""
+
+    plan: Int[np.ndarray, "T1"]  # the plan that led there; -1 where none did
+    node: Int[np.ndarray, "T1"]  # where that plan expected to be; -1 where it did not
+    error: Float[np.ndarray, "T1"]  # m, root mean square over the rope's points; NaN without a node
+    score: Float[np.ndarray, "T1"]  # of the step that led there, as the reliability gave it
+
+
+def followed(record: TrialRecord) -> Followed:
+    """Which plan led to each executed state, and how far that was from where the plan expected it.
+
+    Where one plan ends and the next begins, the state counts for the one that led there.
+    """
+    count = len(record.points)
+    plan, node = np.full(count, -1), np.full(count, -1)
+    error, score = np.full(count, np.nan), np.full(count, np.nan)
+    for index, (one, errors) in enumerate(zip(record.plans, execution_errors(record), strict=True)):
+        if node[one.step] < 0 and len(one.path):
+            plan[one.step], node[one.step], error[one.step] = index, one.path[0], 0.0
+        states = one.step + 1 + np.arange(len(errors))
+        nodes = one.path[1 : 1 + len(errors)]
+        plan[states], node[states], error[states] = index, nodes, errors
+        if one.score is not None:
+            score[states] = one.score[nodes]
+    return Followed(plan, node, error, score)
 
 
 def judged_transitions(record: TrialRecord, threshold: float) -> tuple[int, int]:

@@ -1,11 +1,11 @@
 """The methods of chapter II by name: which dynamics, judged by what, recovering how."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from doojax.experiments.trials.recipes import RECIPES as RECIPES
 from doojax.experiments.trials.setting import Method
 from doojax.learning.checkpoints import Header
 from doojax.models import Always, CollisionChecker, Stricter
@@ -14,27 +14,6 @@ from doojax.planning.recovery import RandomRecovery
 from doojax.simulation.state import Simulator
 from doojax.tasks.base import Task
 
-
-@dataclass(frozen=True)
-class Recipe:
-    """What a method is made of: kinds of learned models, or the names of what is not learned."""
-
-    dynamics: str
-    reliability: str = "always"
-    recovery: str | None = None
-
-
-RECIPES: Mapping[str, Recipe] = {
-    "classifier": Recipe("dynamics", "classifier"),
-    "voxel_classifier": Recipe("dynamics", "voxel_classifier"),
-    "deviation": Recipe("dynamics", "deviation"),
-    "no_classifier": Recipe("dynamics"),
-    "collision_checker": Recipe("dynamics", "collision_checker"),
-    "full_dynamics": Recipe("full_dynamics"),
-    "learned_recovery": Recipe("dynamics", "classifier", "recovery"),
-    "random_recovery": Recipe("dynamics", "classifier", "random"),
-    "oracle": Recipe("simulator"),
-}
 PRETRAINED = Path(__file__).parents[1] / "pretrained"
 NOT_LEARNED = {"simulator", "always", "collision_checker", "random", None}
 

@@ -1,6 +1,6 @@
 """How trials came out: the figures of an evaluation's records, by method."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +12,7 @@ from doojax.experiments.trials.executed import counts_of
 from doojax.experiments.trials.methods import RECIPES
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.records import TrialRecord
+from doojax.experiments.trials.why import why
 from doojax.reading import checked, read_json, read_lines
 from doojax.tasks import make_task
 
@@ -59,24 +60,25 @@ class Outcomes:
     plan_s: Float[np.ndarray, "n"]
     counts: dict[str, Int[np.ndarray, "n"]]  # see COUNTS
     judged: Int[np.ndarray, "n 2"]  # executed transitions of plans, and how many of them were wrong
-    ends: tuple[str, ...]  # why each trial ended
+    ends: tuple[str, ...]  # what ended each trial
+    whys: tuple[str, ...]  # why it came out as it did
     minutes: float  # that the evaluation took, all told
     goal_radius: float  # m
 
     def only(self, trials: Int[np.ndarray, "k"]) -> "Outcomes":
         """Those of some scenes."""
         kept = np.isin(self.trials, trials)
-        return Outcomes(
-            self.method,
-            self.trials[kept],
-            self.success[kept],
-            self.error[kept],
-            self.plan_s[kept],
-            {name: values[kept] for name, values in self.counts.items()},
-            self.judged[kept],
-            tuple(end for end, keep in zip(self.ends, kept, strict=True) if keep),
-            self.minutes,
-            self.goal_radius,
+        chosen = np.flatnonzero(kept)
+        return replace(
+            self,
+            trials=self.trials[kept],
+            success=self.success[kept],
+            error=self.error[kept],
+            plan_s=self.plan_s[kept],
+            counts={name: values[kept] for name, values in self.counts.items()},
+            judged=self.judged[kept],
+            ends=tuple(self.ends[i] for i in chosen),
+            whys=tuple(self.whys[i] for i in chosen),
         )
 
 
@@ -123,6 +125,7 @@ def read_outcomes(folder: Path) -> Outcomes:
         counts={name: np.array([getattr(one, name) for one in figures], dtype=int) for name in COUNTS},
         judged=counts_of(trials),
         ends=tuple(record.end for record in trials),
+        whys=tuple(map(why, trials)),
         minutes=sum(one.seconds for one in seconds) / 60,
         goal_radius=trials[0].goal_radius if trials else 0.0,
     )

@@ -18,6 +18,7 @@ from doojax.experiments.trials.scenes import FOLDER, load_scenes
 from doojax.experiments.trials.seen import check_unseen, warning_of
 from doojax.experiments.trials.setting import Trials, TrialSettings
 from doojax.experiments.trials.trial import run_trials
+from doojax.experiments.trials.why import why
 from doojax.keys import check_seed, stream
 from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem
 from doojax.simulation.engines import resolve_engine
@@ -122,6 +123,8 @@ def plan(
         console.print(
             f"the rope ends {100 * record.about['final_error_m']:.1f} cm from the goal", highlight=False
         )
+    if execute:
+        console.print(f"why: {why(record)}", soft_wrap=True)
     console.print(f"searching took {record.about['plan_s']:.1f} s; to see it all: doojax view {out}")
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -66,16 +67,16 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class PredictionRecord:
-    """What a model predicted, beside what happened. P predictions of up to H steps.
+    """What a model predicted, beside what happened. P predictions of up to H steps along K trajectories.
 
     Prediction p starts from the true state ``start[p]``; its state h is to be compared with the true state
-    ``start[p] + h``. What a prediction lacks, being shorter, is NaN.
+    ``start[p] + h``. What a prediction lacks, being shorter or beyond its trajectory's end, is NaN.
     """
 
     task: str
     look: Look
-    obstacles: Obstacles
-    points: Float[np.ndarray, "T1 N 3"]  # what happened
+    obstacles: Obstacles  # [M], or [K, M] of each trajectory
+    points: Float[np.ndarray, "T1 N 3"]  # what happened, one trajectory after another
     grippers: Float[np.ndarray, "T1 G 3"]
     start: Int[np.ndarray, "P"]
     predicted_points: Float[np.ndarray, "P H1 N 3"]
@@ -85,6 +86,12 @@ class PredictionRecord:
     grid: Grid | None = None  # F is 1 or P
     period: float = 1.0  # s between two states
     about: Mapping[str, Any] = field(default_factory=dict)  # seed, model, ...: anything that JSON can hold
+    begins: Int[np.ndarray, "K"] = field(
+        default_factory=lambda: np.zeros(1, int)
+    )  # trajectories' first states
+    rows: Int[np.ndarray, "K"] | None = None  # their numbers in the data set
+    accepted: Bool[np.ndarray, "P H1"] | None = None  # by the judge of reliability: the step that led here
+    error_threshold: float | None = None  # m of the error, RMS over the points, below which a step is right
 
     def __post_init__(self):
         """Refuse arrays that do not fit together."""
@@ -102,12 +109,65 @@ class PredictionRecord:
             raise ValueError(f"thresholds name no scores: {sorted(unknown)}; there are {sorted(self.scores)}")
         if self.grid is not None and len(self.grid.values) not in (1, moments[0]):
             raise ValueError(f"grid has {len(self.grid.values)} grids, expected 1 or {moments[0]}")
+        if self.begins[:1].tolist() != [0] or (np.diff(self.begins) <= 0).any():
+            raise ValueError(f"begins is {self.begins.tolist()}, expected rising numbers from 0 on")
+        _expect_range("begins", self.begins, 0, states - 1)
+        if self.rows is not None:
+            _expect("rows", self.rows, self.begins.shape)
+        if self.accepted is not None:
+            _expect("accepted", self.accepted, moments)
+        if self.obstacles.kind.ndim > 1:
+            kind = np.asarray(self.obstacles.kind)
+            _expect("obstacles.kind", kind, (len(self.begins), *kind.shape[1:]))
+
+    def trajectory(self, prediction: int) -> int:
+        """Along which of the K trajectories a prediction goes."""
+        return int(np.searchsorted(self.begins, self.start[prediction], side="right")) - 1
+
+    def states(self, trajectory: int) -> slice:
+        """The states of one trajectory."""
+        ends = [*self.begins[1:].tolist(), len(self.points)]
+        return slice(int(self.begins[trajectory]), ends[trajectory])
+
+    def obstacles_of(self, trajectory: int) -> Obstacles:
+        """What stands in the way of one trajectory, [M]."""
+        if self.obstacles.kind.ndim == 1:
+            return self.obstacles
+        return jax.tree.map(lambda leaf: leaf[trajectory], self.obstacles)
+
+    def rms_errors(self) -> Float[np.ndarray, "P H1"]:
+        """Root mean square of `errors` over the points, metres; NaN where it is not known."""
+        return np.sqrt((self.errors() ** 2).mean(-1))
+
+    def counted(self) -> Bool[np.ndarray, "P H1"]:
+        """Which steps say something of a judge: those that begin where the prediction was still right.
+
+        As for labels: what follows a prediction's first error above the threshold is left out.
+        """
+        if self.error_threshold is None:
+            return np.zeros(self.predicted_points.shape[:2], dtype=bool)
+        error = self.rms_errors()
+        with np.errstate(invalid="ignore"):
+            wrong = ~(error < self.error_threshold)
+        before = np.maximum.accumulate(wrong, axis=1)
+        counted = np.zeros_like(wrong)
+        counted[:, 1:] = ~before[:, :-1]
+        return counted & np.isfinite(error)
+
+    def mistaken(self) -> tuple[Bool[np.ndarray, "P H1"], Bool[np.ndarray, "P H1"]]:
+        """False accepts (accepted, but wrong) and false rejects (rejected, but right), of `counted` steps."""
+        counted = self.counted()
+        if self.accepted is None or self.error_threshold is None:
+            return np.zeros_like(counted), np.zeros_like(counted)
+        with np.errstate(invalid="ignore"):
+            right = self.rms_errors() < self.error_threshold
+        return counted & self.accepted & ~right, counted & ~self.accepted & right
 
     def errors(self) -> Float[np.ndarray, "P H1 N"]:
         """Distance of each predicted rope point to the true one, metres; NaN where either is missing."""
         true = np.full(self.predicted_points.shape, np.nan)
         for p, first in enumerate(self.start):
-            known = self.points[first : first + true.shape[1]]
+            known = self.points[first : min(first + true.shape[1], self.states(self.trajectory(p)).stop)]
             true[p, : len(known)] = known
         return np.linalg.norm(self.predicted_points - true, axis=-1)
 

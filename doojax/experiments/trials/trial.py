@@ -19,9 +19,11 @@ from jaxtyping import Array, Int
 
 from doojax.actions import nothing_of
 from doojax.experiments.trials.execution import Moves, carry_out, distances
+from doojax.experiments.trials.judges import threshold_of
 from doojax.experiments.trials.log import REACHED, Log, element, record_plan
 from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.setting import Method, Trials, TrialSettings
+from doojax.experiments.trials.why import explained
 from doojax.keys import numbered, stream
 from doojax.parts import in_threads
 from doojax.planning import (
@@ -191,4 +193,6 @@ def _record(
     record = log.record(task, obstacles, start, goal)
     about = {"trial": int(trials.numbers[index]), **record.about}
     about["error_threshold_m"] = method.error_threshold_m
-    return replace(record, method=method.name, seed=trials.seed, about=about)
+    about["score_threshold"] = threshold_of(method.reliability)
+    named = replace(record, method=method.name, seed=trials.seed, about=about)
+    return replace(named, about={**about, "why": explained(named)})

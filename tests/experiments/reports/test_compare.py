@@ -12,7 +12,7 @@ import pytest
 from doojax.commands import parsed
 from doojax.experiments.reports.compare import compare, setting_tags, success_figure
 from doojax.experiments.reports.provenance import note_command
-from doojax.experiments.reports.summary import read_summary
+from doojax.experiments.reports.summary import read_summary, row, show
 from doojax.experiments.trials.outcomes import read_evaluation
 from doojax.experiments.trials.record_files import save_record
 from doojax.experiments.trials.records import Event, Look, TrialRecord
@@ -206,3 +206,30 @@ def test_rows_say_which_settings_were_not_the_default():
     assert setting_tags({"budget": plain, "accept": None}) == {}
     assert setting_tags({"budget": plain | {"searches": 1}, "margin": 0.0}) == {"searches": 1, "margin": 0.0}
     assert setting_tags({"budget": plain, "accept": "conformal:0.05"}) == {"accept": "conformal:0.05"}
+
+
+def test_failed_trials_say_why_in_the_tables(folder):
+    compare(folder)
+    out = folder / "comparison"
+    whys = {(line["method"], line["trial"]): line["why"] for line in table(out / "trials.csv")}
+    assert whys["classifier", "11"] == "10 searches did not suffice"
+    text = (out / "comparison.md").read_text()
+    assert "| scene | method | error (m) | why |" in text
+    assert "| 11 | classifier | 0.400 | 10 searches did not suffice |" in text
+    assert text.count("| no_classifier | 0.300 |") == 11  # as many as failed
+
+
+def test_names_are_whole_on_a_terminal_of_eighty_columns(folder, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shutil.copytree(folder / "classifier", folder / "collision_checker")
+    compare(folder)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    (mine,) = [line for line in lines if "collision_checker" in line]
+    assert " ".join(mine.split()) == "collision_checker 91.7 % (65 to 99) 0.051 0.020 24 0.50 s"
+    tags = {"model": "voxel_classifier"}
+    show([row("classifier_us_per_transition", tags, 1, "us", 0.5, 12345678.0)], False)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("classifier_us_per_transition" in line and "0.5 to 1.235e+07" in line for line in lines)
+    assert any("voxel_classifier" in line for line in lines)

@@ -1,0 +1,202 @@
+"""Why a trial came out as it did: one plain sentence, read from what its record holds."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from doojax.experiments.trials.executed import execution_errors
+from doojax.experiments.trials.judges import score_said
+from doojax.experiments.trials.records import PlanRecord, TrialRecord
+from doojax.experiments.trials.touching import gaps, obstacle_names, touched
+
+SEARCHED = re.compile(r"(solved|exhausted|stuck), ([\d.]+) cm from the goal; (\d+) of (\d+) extensions")
+TELLING = 0.1  # of a plan's largest error: where that much has come, it was left
+UNSTABLE = "the simulation became unstable"
+MOST_NAMED = 2  # obstacles
+
+
+@dataclass(frozen=True)
+class Departure:
+    """Where execution left a plan."""
+
+    state: int
+    error: float  # m there, root mean square over the rope's points
+    largest: float  # m, of all states until the plan was given up
+    score: float  # of the step that led there; NaN where it has none
+    touching: tuple[str, ...]  # obstacles
+    crossed: tuple[str, ...]  # obstacles that the plan's own rope is inside of, there or a step later
+
+
+@dataclass(frozen=True)
+class Search:
+    """What came of one search."""
+
+    step: int
+    status: str  # solved, exhausted, stuck; "" where the record does not say
+    missing: float  # m, between the plan's end and the goal
+    accepted: int  # extensions
+    extensions: int
+    departure: Departure | None
+    found: bool  # a plan that ends within the goal
+
+
+def why(record: TrialRecord) -> str:
+    """Why a trial ended as it did, as one sentence without a full stop.
+
+    As it was written down when the record was made, or from what an older record holds.
+    """
+    return str(record.about["why"]) if "why" in record.about else explained(record)
+
+
+def explained(record: TrialRecord) -> str:
+    """`why`, worked out anew."""
+    end = record.end
+    if record.reached:
+        return _of_success(record)
+    if end.startswith(("crashed", "not wanted")) or not record.plans:
+        return end
+    searches = [_search(record, index) for index in range(len(record.plans))]
+    if end.startswith("the plan was not to be executed"):
+        return f"{end}; it ends {_cm(searches[-1].missing)} from the goal"
+    found = [one for one in searches if one.found]
+    broke = end == UNSTABLE
+    last = len(record.points) - 1 if broke else len(record.points)  # a broken state is where nothing is
+    left = [one.departure for one in searches if one.departure is not None and one.departure.state < last]
+    parts = _of_searches(record, searches)
+    if 2 * len(found) >= len(searches) and left:  # there were plans to the goal: what came of them counts
+        parts.insert(0, _of_departures(left, record.method, len(searches)))
+    elif left:
+        parts.append(_of_departures(left, record.method, len(searches)))
+    if broke:
+        return "; ".join([f"{end} at state {last}", *parts])
+    if not parts:
+        parts = ["execution went as planned, but the plans ended short of the goal"]
+    return "; ".join([*parts, f"in the end the goal was {_cm(_missing(record))} away"])
+
+
+def searched(record: TrialRecord) -> list[tuple[str, float, int, int]]:
+    """Status, missing distance (m), accepted and all extensions of each search, as far as events say."""
+    found = [SEARCHED.match(event.text) for event in record.events if event.kind == "plan"]
+    return [
+        (one[1], float(one[2]) / 100, int(one[3]), int(one[4])) if one else ("", np.nan, 0, 0)
+        for one in found
+    ]
+
+
+def departure(record: TrialRecord, index: int) -> Departure | None:
+    """Where execution left a plan: where a tenth of its largest error has come, if that is no trifle.
+
+    A trifle is an error below the threshold of the model error; where the record has none, below half the
+    goal's radius, as what a trial remembers of refuted steps.
+    """
+    error = execution_errors(record)[index]
+    threshold = record.about.get("error_threshold_m") or record.goal_radius / 2
+    error = np.where(np.isfinite(error), error, np.inf)
+    if not len(error) or error.max() < threshold:
+        return None
+    at = int(np.argmax(error >= max(threshold, TELLING * error[np.isfinite(error)].max(initial=0))))
+    plan, names = record.plans[index], obstacle_names(record.obstacles)
+    state, node = plan.step + at + 1, int(plan.path[at + 1])
+    real = gaps(record.obstacles, record.points[state], record.grippers[state], record.look)
+    soon = plan.path[at + 1 : at + 3]
+    planned = [gaps(record.obstacles, plan.points[n], plan.grippers[n], record.look) for n in soon]
+    return Departure(
+        state=state,
+        error=float(error[at]),
+        largest=float(error.max()),
+        score=float(plan.score[node]) if plan.score is not None else np.nan,
+        touching=tuple(touched(real, names)[:MOST_NAMED]),
+        crossed=tuple(touched(np.min(planned, axis=0), names, within=-record.look.rope_radius)[:MOST_NAMED]),
+    )
+
+
+def _search(record: TrialRecord, index: int) -> Search:
+    plan, said = record.plans[index], searched(record)
+    status, missing, accepted, extensions = said[index] if index < len(said) else ("", np.nan, 0, 0)
+    if not np.isfinite(missing):
+        missing = _planned_missing(record, plan)
+    found = status == "solved" or (status != "stuck" and missing <= record.goal_radius)
+    return Search(plan.step, status, missing, accepted, extensions, departure(record, index), found)
+
+
+def _planned_missing(record: TrialRecord, plan: PlanRecord) -> float:
+    if not len(plan.path):
+        return np.nan
+    bodies = np.concatenate([plan.points[plan.path[-1]], plan.grippers[plan.path[-1]]])
+    return float(np.linalg.norm(bodies[record.goal_point] - record.goal))
+
+
+def _missing(record: TrialRecord) -> float:
+    return float(record.about.get("final_error_m", _distances(record)[-1]))
+
+
+def _distances(record: TrialRecord) -> Float[np.ndarray, "T1"]:
+    return np.linalg.norm(record.goal_way - record.goal, axis=-1)
+
+
+def _of_success(record: TrialRecord) -> str:
+    count = len(record.plans)
+    if count <= 1:
+        return "the first plan led to the goal"
+    left = [departure(record, index) for index in range(count - 1)]
+    found = [one for one in left if one is not None]
+    text = f"plan {count} led to the goal"
+    return f"{text}; before it {_of_departures(found, record.method, count)}" if found else text
+
+
+def _of_departures(left: Sequence[Departure], method: str, searches: int) -> str:
+    """Where plans were left: the first in full, and what was touched in most of them."""
+    first = left[0]
+    said = score_said(method, first.score)
+    text = f"left the plan by {_cm(first.error)} at state {first.state}"
+    text += f", where {said}" if said else ""
+    text += f", touching {_listed(first.touching) if first.touching else 'nothing'}"
+    if first.crossed and set(first.crossed) == set(first.touching):
+        text += f" (the plan goes through {'it' if len(first.crossed) == 1 else 'them'})"
+    elif first.crossed:
+        text += f" (the plan goes through {_listed(first.crossed)})"
+    if first.largest >= 2 * first.error and np.isfinite(first.largest):
+        text += f", and by {_cm(first.largest)} later"
+    if len(left) == 1:
+        return f"the executed rope {text}"
+    touches = Counter(name for one in left for name in one.touching)
+    most, count = touches.most_common(1)[0] if touches else ("", 0)
+    often = f", {count} times touching {most}" if count > 1 and 2 * count >= len(left) else ""
+    return f"the executed rope left {len(left)} of {searches} plans{often}; it first {text}"
+
+
+def _of_searches(record: TrialRecord, searches: Sequence[Search]) -> list[str]:
+    """What searches found no plan, and why."""
+    stuck = [one for one in searches if one.status == "stuck"]
+    short = [one for one in searches if one.status == "exhausted" and not one.found]
+    parts = []
+    if stuck:
+        total = sum(one.extensions for one in stuck)
+        first, last = stuck[0].step, stuck[-1].step
+        where = f"state {first}" if first == last else f"states {first} to {last}"
+        count = "a search" if len(stuck) == 1 else f"{len(stuck)} searches"
+        text = f"{count} found no plan at {where}: all {total} extensions from the start were rejected"
+        gap = gaps(record.obstacles, record.points[last], record.grippers[last], record.look)
+        near = touched(gap, obstacle_names(record.obstacles))[:MOST_NAMED]
+        parts.append(text + (f", the rope touching {_listed(near)}" if near else ""))
+    if short:
+        nearest = min(one.missing for one in short)
+        count = "a search" if len(short) == 1 else f"{len(short)} searches"
+        rejected = 1 - sum(one.accepted for one in short) / max(sum(one.extensions for one in short), 1)
+        text = f"{count} found no way to the goal, none nearer than {_cm(nearest)}"
+        parts.append(text + f" ({100 * rejected:.0f} % of extensions rejected)")
+    return parts
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(names)
+
+
+def _cm(metres: float) -> str:
+    if not np.isfinite(metres):
+        return "an unknown distance"
+    return f"{100 * metres:.0f} cm" if metres >= 0.1 else f"{100 * metres:.1f} cm"
