@@ -101,8 +101,11 @@ def episode(dataset: Dataset, index: int) -> Episode:
     )
 
 
-def episode_of(record: PredictionRecord | TrialRecord) -> Episode:
-    """What happened, of a record."""
+def episode_of(record: PredictionRecord | TrialRecord, trajectory: int = 0) -> Episode:
+    """What happened, of a record; of predictions along several trajectories, one of these."""
+    if isinstance(record, PredictionRecord):
+        states, obstacles = record.states(trajectory), record.obstacles_of(trajectory)
+        return Episode(record.points[states], record.grippers[states], obstacles, record.look, record.period)
     return Episode(record.points, record.grippers, record.obstacles, record.look, record.period)
 
 

@@ -77,7 +77,8 @@ def film_of_prediction(record: PredictionRecord, index: int) -> Film:
     count = len(record.start)
     if not 0 <= index < count:
         raise IndexError(f"there is no prediction {index}: the record holds {count}, counted from 0")
-    world = episode_of(record)
+    trajectory = record.trajectory(index)
+    world = episode_of(record, trajectory)
     predicted = record.predicted_points[index]
     known = np.isfinite(predicted).all((1, 2))
     return Film(
@@ -87,7 +88,9 @@ def film_of_prediction(record: PredictionRecord, index: int) -> Film:
         planar=world.planar,
         states=int(np.flatnonzero(known).max(initial=0)) + 1,
         period=record.period,
-        set_up=lambda drawing: drawing.obstacles("obstacles", record.obstacles, colour=colours.OBSTACLE),
+        set_up=lambda drawing: drawing.obstacles(
+            "obstacles", record.obstacles_of(trajectory), colour=colours.OBSTACLE
+        ),
         show=lambda drawing, moment: show_prediction(drawing, record, index, moment),
     )
 

@@ -59,9 +59,9 @@ class PredictionPage:
             with tabs.add_tab("About"):
                 gui.add_markdown(listed(record.about))
         world = episode_of(record)
-        predicted = record.predicted_points.reshape(-1, 3)
+        first = np.searchsorted(record.start, record.states(0).stop)  # predictions along the first trajectory
+        predicted = record.predicted_points[:first].reshape(-1, 3)
         everywhere = np.concatenate([world.corners(), predicted[np.isfinite(predicted).all(-1)]])
-        page.drawing.obstacles("obstacles", record.obstacles, colour=colours.OBSTACLE)
         page.stage(everywhere.astype(np.float32), record.look.floor, world.planar)
         page.call(self._load)
 
@@ -93,6 +93,8 @@ class PredictionPage:
             self._facts.content = "no prediction passes the filter"
             return
         index = self._index
+        around = record.obstacles_of(record.trajectory(index))
+        self._page.drawing.obstacles("obstacles", around, colour=colours.OBSTACLE)
         steps = np.flatnonzero(np.isfinite(record.predicted_points[index]).all((1, 2)))
         count = int(steps[-1]) + 1 if len(steps) else 1
         self._error_plot.set({"error": self._errors[index, :count]})
@@ -112,7 +114,9 @@ class PredictionPage:
             plot.mark(moment)
         step = min(int(moment), self._errors.shape[1] - 1)
         error = self._errors[index, step]
-        lines = [f"prediction **{index}**, from state {record.start[index]} of {len(record.points) - 1}"]
+        states = record.states(record.trajectory(index))
+        first, last = record.start[index] - states.start, states.stop - states.start - 1
+        lines = [f"prediction **{index}**, from state {first} of {last}"]
         known = f"error {error:.1f} cm" if np.isfinite(error) else "what happened here is not known"
         lines.append(f"{step} steps ahead: {known}")
         for name, values in record.scores.items():
