@@ -17,7 +17,8 @@ from doojax.geometry.box import Box
 
 BYTE = 8
 FEW = 128  # particles
-FINE = 2**18  # parts into which x is cut for sorting
+FINE, COARSE = 2**18, 2**10  # parts into which x is cut for sorting, at most and at least
+KEYS = 2**31 - 1
 _BITS = np.array(
     [sorted(range(BYTE), key=lambda bit, byte=byte: (not byte >> bit & 1, bit)) for byte in range(256)],
     dtype=np.int32,
@@ -40,12 +41,17 @@ def rows_of(region: Box, reach: float, dimensions: int) -> list[tuple[float, int
     for axis in axes:
         count = int(np.ceil((region.high[axis] - region.low[axis]) / reach))
         found.append((region.low[axis], count))
-    if np.prod([count + 2 for _, count in found]) * FINE > 2**31 - 1:
+    if parts_of(found) < COARSE:
         raise ValueError(
             f"a region of {' by '.join(str(count) for _, count in found)} rows is too large for a reach of "
-            f"{reach:.3g} m: expected at most {(2**31 - 1) // FINE} rows in all; give a smaller region"
+            f"{reach:.3g} m: expected at most {KEYS // COARSE} rows in all; give a smaller region"
         )
     return found
+
+
+def parts_of(rows: list[tuple[float, int]]) -> int:
+    """Into how many parts x is cut: the more rows there are, the fewer, so that a key is an integer."""
+    return min(FINE, KEYS // int(np.prod([count + 2 for _, count in rows])))
 
 
 def in_order(
@@ -57,7 +63,8 @@ def in_order(
     for axis, (low, count) in enumerate(rows, 1):
         cell = jnp.floor((positions[:, axis] - low) / reach)
         cells.append(jnp.clip(jnp.nan_to_num(cell), 0, count - 1).astype(jnp.int32) + 1)
-    key = _row(cells, rows) * FINE + _along(positions[:, 0], region)
+    parts = parts_of(rows)
+    key = _row(cells, rows) * parts + _along(positions[:, 0], region, parts)
     order = jnp.argsort(key)
     return order, key[order], [cell[order] for cell in cells]
 
@@ -93,8 +100,11 @@ def find_neighbours(
         near += jnp.where(inner, jnp.maximum(apart, 0.0), 0.0) ** 2
         there.append(cell + step)
     half = jnp.sqrt(jnp.maximum(reach**2 - near, 0.0))
-    begins = _row(there, rows) * FINE
-    edges = jnp.stack([begins + _along(x[0] - half, region), begins + _along(x[0] + half, region) + 1])
+    parts = parts_of(rows)
+    begins = _row(there, rows) * parts
+    edges = jnp.stack(
+        [begins + _along(x[0] - half, region, parts), begins + _along(x[0] + half, region, parts) + 1]
+    )
     method = "compare_all" if count <= FEW else "scan"  # which has a loop
     first, end = jnp.searchsorted(keys, edges, method=method)
 
@@ -136,9 +146,9 @@ def _row(cells: list[Array], rows: list[tuple[float, int]]) -> Array:
     return found
 
 
-def _along(x: Array, region: Box) -> Array:
-    part = (x - region.low[0]) / (region.high[0] - region.low[0]) * FINE
-    return jnp.clip(jnp.nan_to_num(jnp.floor(part)), 0, FINE - 1).astype(jnp.int32)
+def _along(x: Array, region: Box, parts: int) -> Array:
+    part = (x - region.low[0]) / (region.high[0] - region.low[0]) * parts
+    return jnp.clip(jnp.nan_to_num(jnp.floor(part)), 0, parts - 1).astype(jnp.int32)
 
 
 def take(values: Shaped[Array, "n"], index: Int[Array, "*k"]) -> Shaped[Array, "*k"]:

@@ -21,9 +21,9 @@ def found(positions, capacity, region=REGION):
     return order, find_neighbours(placed, keys, cells, REACH, region, capacity)
 
 
-def pairs(positions, capacity=32):
+def pairs(positions, capacity=32, region=REGION):
     """The set of pairs by the lists, by the particles' own numbers; and were any dropped?"""
-    order, lists = jax.tree.map(np.asarray, found(jnp.asarray(positions, jnp.float32), capacity))
+    order, lists = jax.tree.map(np.asarray, found(jnp.asarray(positions, jnp.float32), capacity, region))
     columns = np.broadcast_to(np.arange(len(order)), lists.index.shape)
     both = zip(order[columns[lists.there]], order[lists.index[lists.there]], strict=True)
     here = {(int(i), int(j)) for i, j in both}
@@ -55,6 +55,14 @@ def test_particles_on_the_edges_of_rows_are_found():
     expected = all_pairs(grid[:COUNT])
     assert not dropped
     assert here == expected
+
+
+def test_a_large_region_finds_the_same_pairs():
+    """Of 201 by 201 rows x is cut into fewer parts."""
+    positions = np.random.default_rng(2).uniform(-0.3, 0.3, (COUNT, 3)).astype(np.float32)
+    here, dropped = pairs(positions, region=Box((-10.0,) * 3, (10.0,) * 3))
+    assert not dropped
+    assert here == all_pairs(positions)
 
 
 def test_what_there_is_no_room_for_is_told():
