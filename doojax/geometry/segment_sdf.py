@@ -4,12 +4,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.lax import stop_gradient
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from doojax.geometry.frames import safe_norm
 from doojax.geometry.sdf import least_distance
 from doojax.geometry.shapes import (
     FAR,
+    Numbers,
     distance_and_gradient,
     numbers_of,
     paired_distances,
@@ -57,13 +58,34 @@ def segment_is_far(
     Arguments and errors as for `segment_signed_distance`.
     """
     require_one_set(obstacles)
-    numbers = numbers_of(obstacles)
     begin = [start[..., axis, None] for axis in range(3)]
     step = [(end - start)[..., axis, None] for axis in range(3)]
+    return jnp.all(_are_far(numbers_of(obstacles), begin, step, distance[..., None]), axis=-1)
+
+
+def segments_are_far(
+    obstacles: Obstacles,
+    which: Int[Array, "*p"],
+    start: tuple[Array, ...],
+    step: tuple[Array, ...],
+    distance: Float[Array, "*p"],
+) -> Bool[Array, "*p"]:
+    """`segment_is_far` of each segment from one obstacle of its own, whose index is ``which``.
+
+    Starts and steps (m, to the end) are x, y and z, apart, each ``[*p]``.
+    """
+    require_one_set(obstacles)
+    return _are_far(numbers_of(obstacles).at(which), list(start), list(step), distance)
+
+
+def _are_far(
+    to: Numbers, begin: list[Array], step: list[Array], distance: Float[Array, "*#p"]
+) -> Bool[Array, "*p"]:
+    """Of each segment from the obstacle that broadcasting pairs it with."""
 
     def at(fraction: Array) -> tuple[Array, Array]:
         point = (one + fraction * along for one, along in zip(begin, step, strict=True))
-        value, *slopes = distance_and_gradient(numbers, *point)
+        value, *slopes = distance_and_gradient(to, *point)
         along = (slope * one for slope, one in zip(slopes, step, strict=True))
         return value, sum(along, jnp.zeros_like(value))
 
@@ -71,10 +93,10 @@ def segment_is_far(
         _, slope = at(middle)
         return middle - jnp.sign(slope) * 0.5 ** (number + 2)
 
-    zero = jnp.zeros((*start.shape[:-1], obstacles.kind.shape[0]), start.dtype)
-    middle = jax.lax.fori_loop(0, _HALVINGS, halve, zero + 0.5)
+    shape = jnp.broadcast_shapes(begin[0].shape, to.capsule.shape)
+    middle = jax.lax.fori_loop(0, _HALVINGS, halve, jnp.full(shape, 0.5, begin[0].dtype))
     nearest = at(middle)[0] - 0.5 ** (_HALVINGS + 1) * safe_norm(*step)
-    return jnp.all(nearest > distance[..., None], axis=-1)
+    return nearest > distance
 
 
 def _closest_fraction(

@@ -6,6 +6,7 @@ from doojax.robots.clearance import floor_distances as floor_distances
 from doojax.robots.clearance import is_free as is_free
 from doojax.robots.clearance import obstacle_distances as obstacle_distances
 from doojax.robots.clearance import self_distance as self_distance
+from doojax.robots.collisions import are_free as are_free
 from doojax.robots.inverse import IkSettings as IkSettings
 from doojax.robots.inverse import IkSolutions as IkSolutions
 from doojax.robots.inverse import inverse_kinematics as inverse_kinematics

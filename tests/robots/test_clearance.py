@@ -8,6 +8,7 @@ import pytest
 
 from doojax.robots import (
     DUAL_ARM,
+    are_free,
     clearance,
     dual_arm,
     floor_distances,
@@ -80,6 +81,21 @@ def test_distances_are_mujocos():
     assert apart > 2
 
 
+def shapes(seed: int) -> Obstacles:
+    """Of all kinds, anyhow turned, around the arms; one that counts for nothing is where they are."""
+    random = np.random.default_rng(seed)
+    turned = random.normal(size=(10, 4))
+    centre = random.uniform([-0.8, 0.2, -0.4], [0.8, 1.0, 1.0], (10, 3))
+    centre[9] = [0, 0.1, 0.1]
+    return Obstacles(
+        jnp.arange(10) % 3,
+        jnp.asarray(centre, jnp.float32),
+        jnp.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True), jnp.float32),
+        jnp.asarray(random.uniform(0.03, 0.15, (10, 3)), jnp.float32).at[:, 1].set(0.08).at[:, 0].set(0.08),
+        jnp.arange(10) < 9,
+    )
+
+
 def test_what_is_called_free_is_and_little_else_is_not():
     joints = jnp.concatenate([within_limits(ARMS, 90, 2) * 0.4, within_limits(ARMS, 30, 3)])
     exact = np.asarray(jax.jit(jax.vmap(lambda q: clearance(ARMS, q, BOX, FLOOR)))(joints))
@@ -88,6 +104,40 @@ def test_what_is_called_free_is_and_little_else_is_not():
     assert exact[called].min() > 0.01
     # the longest axis of a capsule is 0.32 m, of which 1/256 may be missing
     assert exact[~called].max() < 0.01 + 0.32 / 256 + 1e-5
+
+
+MANY = jax.jit(lambda joints, obstacles, margin: are_free(ARMS, joints, obstacles, margin, FLOOR))
+
+
+def test_many_are_free_where_each_is():
+    exact_of = jax.jit(jax.vmap(lambda q, o: clearance(ARMS, q, o, FLOOR), in_axes=(0, None)))
+    joints = jnp.concatenate([within_limits(ARMS, 150, 4) * 0.4, within_limits(ARMS, 50, 5) * 0.8])
+    for seed in range(3):
+        exact = np.asarray(exact_of(joints, shapes(seed)))
+        # as far as the capsules of some are from what is around them: what decides is on either side
+        margin = np.where(np.arange(200) % 2, np.clip(exact - 2e-4, -0.02, 0.2), 0.01).astype(np.float32)
+        called = np.asarray(MANY(joints, shapes(seed), margin))
+        assert 40 < called.sum() < 180
+        assert (exact > margin)[called].all()
+        assert (exact[~called] < margin[~called] + 0.32 / 256 + 1e-5).all()
+
+
+def test_what_is_deep_inside_is_not_free():
+    around = Obstacles(
+        jnp.zeros(1, int),
+        jnp.zeros((1, 3)),
+        jnp.array([[1.0, 0, 0, 0]]),
+        jnp.full((1, 3), 9.0),
+        jnp.ones(1, bool),
+    )
+    ten = jnp.broadcast_to(around.half_size, (10, 3))
+    inside = Obstacles(
+        *(jnp.repeat(leaf, 10, 0) for leaf in (around.kind, around.centre, around.quaternion)),
+        ten,
+        jnp.arange(10) == 3,
+    )
+    joints = within_limits(ARMS, 200, 6)
+    assert not MANY(joints, inside, np.zeros(200, np.float32)).any()
 
 
 def test_arms_at_rest_touch_nothing_and_arms_that_meet_do():
