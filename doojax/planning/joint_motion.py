@@ -1,11 +1,10 @@
 """Motions of a robot's joints past obstacles: many queries side by side, shortened, and timed.
 
 `plan_motions` searches (see `doojax.planning.joint_tree`), shortens what it finds and checks it once more,
-at more places. `repaired_start` moves joints that begin in slight collision out of it, and
-`MotionPlan.at` says where joints are when.
+at twice the places (`doojax.planning.joint_shortcut`). `repaired_start` moves joints that begin in slight
+collision out of it, and `MotionPlan.at` says where joints are when.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,8 +17,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from doojax.keys import numbered
 from doojax.modules import Jittable
 from doojax.parts import traced
-from doojax.planning.joint_tree import Free, JointTrees, MotionQuery, grown, roots
-from doojax.robots import Robot, clearance, is_free
+from doojax.planning.joint_lines import MOST_PLACES, FreeMany, Outcome, walked
+from doojax.planning.joint_shortcut import JointPath, shortened, way
+from doojax.planning.joint_tree import JointSearch, Lengths, MotionQuery, begun, grown
+from doojax.robots import Robot, are_free, clearance
 from doojax.types import Obstacles
 
 FARTHEST = float(np.deg2rad(280))  # that the thesis lets a joint move from where it starts, rad
@@ -29,15 +30,16 @@ FARTHEST = float(np.deg2rad(280))  # that the thesis lets a joint move from wher
 class MotionSettings:
     """How motions are searched for."""
 
-    steps: int = 500  # of the search, at most
+    checks: int = 16_000  # joint positions that a search asks about, at most
     nodes: int = 512  # of each tree, at most
-    points: int = 16  # that are checked on each straight line of the search
-    step: float = 0.06  # rad, the most that a joint moves between two of them
+    longest: float = 2.0  # rad, that a joint moves on one line of the search
+    step: float = 0.06  # rad, that a joint moves between two places of it
     margin: float = 0.005  # m, to be kept from all that must not be touched
     farthest: float = FARTHEST  # rad, that a joint may move from where it starts
     waypoints: int = 64  # of a motion, at most
-    shortcuts: int = 16  # that are tried
+    shortcuts: int = 8  # that are tried
     lanes: int = 32  # queries that are searched at once; others wait for their turn
+    at_once: int = 4  # places of each line that are asked about before it goes on
 
     def __post_init__(self):
         """Refuse what finds nothing."""
@@ -46,6 +48,10 @@ class MotionSettings:
             if not (value > 0 if least is None else value >= least) or value > 1e6:
                 wanted = "more than 0" if least is None else f"{least} or more"
                 raise ValueError(f"{name} is {value}, expected {wanted}, and at most a million")
+        if self.longest > self.step * MOST_PLACES:
+            raise ValueError(
+                f"longest is {self.longest} rad, expected at most {MOST_PLACES} times step, {self.step} rad"
+            )
 
 
 class MotionPlan(eqx.Module):
@@ -83,15 +89,17 @@ class MotionPlanner(Jittable):
         ends = goals[:, index]
         return MotionQuery(begin, ends, ((ends >= low) & (ends <= high)).all(-1), low, high)
 
-    def free(self, start: Float[Array, "J"], margin: float | Float[Array, ""]) -> Free:
-        """Whether joints that move are free, while the others stay as in ``start``."""
+    def free(self, starts: Float[Array, "Q J"]) -> FreeMany:
+        """Whether joints that move are free, while the others stay as in a query's start."""
         index = np.array(self.moving)
 
-        def one(values: Float[Array, "M"]) -> Bool[Array, ""]:
-            joints = start.at[index].set(values)
-            return is_free(self.robot, joints, self.obstacles, margin, self.floor)
+        def many(
+            values: Float[Array, "N M"], query: Int[Array, "N"], margin: Float[Array, "N"]
+        ) -> Bool[Array, "N"]:
+            joints = starts[query].at[:, index].set(values)
+            return are_free(self.robot, joints, self.obstacles, margin, self.floor)
 
-        return one
+        return many
 
     def check(self, start: Float[Array, "J"], goals: Float[Array, "G J"]) -> None:
         """Say what is wrong with a query, outside of jit.
@@ -142,111 +150,37 @@ def plan_motions(
     settings = planner.settings
     queries = jax.vmap(planner.query)(starts, goals)
     keys = numbered(key, range(len(starts)))
-    trees = jax.vmap(partial(roots, nodes=settings.nodes))(queries)
+    free, lengths = planner.free(starts), Lengths(settings.longest, settings.step)
+    lanes, at_once = settings.lanes, settings.at_once
 
-    def is_waiting(trees: JointTrees) -> Bool[Array, "Q"]:
-        return ~trees.done & (trees.steps < settings.steps) & queries.active.any(-1)
+    def begin(query: MotionQuery, key: Array) -> JointSearch:
+        return begun(query, lengths, settings.nodes, settings.checks, settings.margin, key)
 
-    def advance(width: int, trees: JointTrees) -> JointTrees:
-        lanes = jnp.nonzero(is_waiting(trees), size=width, fill_value=len(starts))[0]
-        query, tree, start, own = jax.tree.map(
-            lambda leaf: leaf.at[lanes].get(mode="clip"), (queries, trees, starts, keys)
-        )
+    def search(own: JointSearch, outcome: Outcome, number: Array) -> JointSearch:
+        query = jax.tree.map(lambda leaf: leaf[number], queries)
+        return grown(query, own, outcome, lengths, keys[number])
 
-        def one(query: MotionQuery, tree: JointTrees, start: Array, key: Array) -> JointTrees:
-            free = planner.free(start, settings.margin)
-            key = jax.random.fold_in(key, tree.steps)
-            return grown(query, tree, free, settings.step, settings.points, key)
+    def shorten(own: JointPath, outcome: Outcome, number: Array) -> JointPath:
+        return shortened(own, outcome, settings.step, keys[number])
 
-        after = jax.vmap(one)(query, tree, start, own)
-        return jax.tree.map(lambda all_, some: all_.at[lanes].set(some, mode="drop"), trees, after)
-
-    # Lanes that wait for nobody compute all the same: the last few queries get fewer lanes.
-    width, few = min(settings.lanes, len(starts)), settings.lanes // 8
-    for lanes, left in ((width, few), (few, 0)) if 0 < few < width else ((width, 0),):
-        trees = jax.lax.while_loop(
-            lambda trees, left=left: is_waiting(trees).sum() > left, partial(advance, lanes), trees
-        )
-    return jax.lax.map(
-        lambda query: _finished(planner, *query), (trees, starts, keys), batch_size=settings.lanes
-    )
+    searches = walked(jax.vmap(begin)(queries, keys), free, search, lanes, at_once)
+    ways = jax.vmap(
+        lambda own, key: way(own, settings.waypoints, settings.shortcuts, settings.margin, settings.step, key)
+    )(searches, keys)
+    paths = walked(ways, free, shorten, lanes, at_once)
+    return jax.vmap(partial(_timed, planner))(paths, searches.checks, starts)
 
 
-def _finished(planner: MotionPlanner, trees: JointTrees, start: Float[Array, "J"], key: Array) -> MotionPlan:
-    """The way through the trees, shortened, checked and timed."""
-    settings = planner.settings
-    path, count, fits = _way(trees, settings.waypoints)
-    shorten = jax.random.fold_in(key, settings.steps)
-    path, count, whole = _shortened(path, count, partial(planner.free, start), settings, shorten)
-    solved = fits & whole
-    moving = np.array(planner.moving)
-    path = jnp.where(solved, path, start[moving])
-    every = jnp.broadcast_to(start, (settings.waypoints, len(start))).at[:, moving].set(path)
-    longest = (jnp.abs(path[1:] - path[:-1]) / planner.robot.speed[moving]).max(-1)
+def _timed(
+    planner: MotionPlanner, path: JointPath, checks: Int[Array, ""], start: Float[Array, "J"]
+) -> MotionPlan:
+    """A motion along a way, or of none to the start."""
+    moving, settings = np.array(planner.moving), planner.settings
+    points = jnp.where(path.whole, path.points, start[moving])
+    every = jnp.broadcast_to(start, (settings.waypoints, len(start))).at[:, moving].set(points)
+    longest = (jnp.abs(points[1:] - points[:-1]) / planner.robot.speed[moving]).max(-1)
     times = jnp.concatenate([jnp.zeros(1, longest.dtype), jnp.cumsum(longest)])
-    return MotionPlan(every, jnp.where(solved, count, 1), times, solved, trees.checks)
-
-
-def _way(trees: JointTrees, most: int) -> tuple[Float[Array, "W J"], Int[Array, ""], Bool[Array, ""]]:
-    """The nodes from the start to a goal, how many there are, and whether they met and fit."""
-
-    def climb(tree: int) -> tuple[Array, Array]:
-        def up(node: Array, _: None) -> tuple[Array, Array]:
-            return jnp.where(node >= 0, trees.parents[tree, node], -1), node
-
-        _, nodes = jax.lax.scan(up, trees.met[tree], None, most)
-        return nodes, (nodes >= 0).sum()
-
-    (back, begun), (on, ended) = climb(0), climb(1)
-    place = jnp.arange(most)
-    count = begun + ended - 1  # the node where they met is in both
-    first = trees.joints[0, back[jnp.clip(begun - 1 - place, 0, most - 1)]]
-    second = trees.joints[1, on[jnp.clip(jnp.minimum(place, count - 1) - begun + 1, 0, most - 1)]]
-    met = trees.met[0] >= 0
-    rooted = (begun < most) & (ended < most)
-    return jnp.where((place < begun)[:, None], first, second), count, met & rooted & (count <= most)
-
-
-def _shortened(
-    path: Float[Array, "W J"],
-    count: Int[Array, ""],
-    free: Callable[[Array], Free],
-    settings: MotionSettings,
-    key: Array,
-) -> tuple[Float[Array, "W J"], Int[Array, ""], Bool[Array, ""]]:
-    """Without waypoints between two that a straight line joins; and whether all that is left is free.
-
-    Shortcuts are checked as densely as lines are in the search, and those once more at twice the places. A
-    line too long for that is no shortcut. What is left need keep no margin.
-    """
-    place, shortcuts = jnp.arange(len(path)), settings.shortcuts
-    fractions = jnp.linspace(0, 1, 2 * settings.points + 1)[:, None]
-    longest = 2 * settings.points * settings.step
-
-    def attempt(number: Array, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        path, count, whole = now
-        one, two = jax.random.randint(jax.random.fold_in(key, number), (2,), 0, jnp.maximum(count, 1))
-        checks = number >= shortcuts
-        first = jnp.where(checks, number - shortcuts, jnp.minimum(one, two))
-        last = jnp.where(checks, first + 1, jnp.maximum(one, two))
-        begin, end = path[first], path[last]
-        is_free = free(jnp.where(checks, 0.0, settings.margin))
-        passed = jax.vmap(is_free)(begin + fractions * (end - begin)).all()
-        short = passed & (jnp.abs(end - begin).max() <= longest) & ~checks
-        skipped = jnp.where(short, jnp.maximum(last - first - 1, 0), 0)
-        moved = path[jnp.where(place > first, jnp.minimum(place + skipped, len(path) - 1), place)]
-        return moved, count - skipped, whole & (passed | ~checks)
-
-    def left(now: tuple[Array, tuple[Array, Array, Array]]) -> Bool[Array, ""]:
-        number, (_, count, _) = now
-        return number < shortcuts + count - 1
-
-    def go_on(now: tuple[Array, tuple[Array, Array, Array]]) -> tuple[Array, tuple[Array, Array, Array]]:
-        number, path = now
-        return number + 1, attempt(number, path)
-
-    begin = jnp.zeros((), int), (path, count, jnp.array(True))
-    return jax.lax.while_loop(left, go_on, begin)[1]
+    return MotionPlan(every, jnp.where(path.whole, path.count, 1), times, path.whole, checks)
 
 
 def repaired_start(

@@ -1,17 +1,20 @@
-"""Two trees of joint positions that grow towards each other, in arrays of fixed length: RRT-Connect's step.
+"""Two trees of joint positions that grow towards each other, in arrays of fixed length: RRT-Connect.
 
-Kuffner and LaValle 2000. One step draws joints, goes from the nearest node of one tree straight towards them
-until something is in the way, and from the other tree's nearest node straight to where that ended.
+Kuffner and LaValle 2000. Joints are drawn, and a line goes from the nearest node of one tree straight towards
+them, for at most a certain length. If all of it is free its end is a node, and lines go from the other tree's
+nearest node straight to that, until one is not free or they meet. Then it is the other tree's turn.
 """
-
-from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-type Free = Callable[[Float[Array, "J"]], Bool[Array, ""]]
+from doojax.planning.joint_lines import Line, Outcome, line_to
+
+SPREADS = (0.3, 0.8, 1.5)  # rad, around the straight way, of joints that are drawn
+ANYWHERE = 0.2  # of joints are drawn evenly within their bounds
+AT_ROOT = 0.05  # are the other tree's root
 
 
 class MotionQuery(eqx.Module):
@@ -24,107 +27,144 @@ class MotionQuery(eqx.Module):
     high: Float[Array, "*b J"]
 
 
-class JointTrees(eqx.Module):
+class Lengths(eqx.Module):
+    """How lines of a search are."""
+
+    longest: float = eqx.field(static=True)  # rad, that a joint moves on one
+    step: float = eqx.field(static=True)  # rad, that a joint moves between two places on it
+
+
+class JointSearch(eqx.Module):
     """Tree 0 grows from the start and tree 1 from the goals."""
 
     joints: Float[Array, "*b 2 N J"]
     parents: Int[Array, "*b 2 N"]  # -1 for roots
     used: Bool[Array, "*b 2 N"]
     count: Int[Array, "*b 2"]
-    turn: Int[Array, "*b"]  # the tree whose turn it is
+    line: Line  # that is being checked
+    tree: Int[Array, "*b"]  # whose it is
+    near: Int[Array, "*b"]  # the node where it begins
+    aim: Float[Array, "*b J"]  # where it goes, which may be farther away
+    aimed: Int[Array, "*b"]  # the node of the other tree there; -1 where joints were drawn
+    turn: Int[Array, "*b"]  # the tree that drew joints last
     met: Int[Array, "*b 2"]  # the nodes of each tree where they met, equal; -1 before
-    steps: Int[Array, "*b"]
+    drawn: Int[Array, "*b"]  # how often joints were
     checks: Int[Array, "*b"]  # joint positions that were asked whether they are free
+    most: Int[Array, "*b"]  # of them; none for a query without a goal
+    margin: Float[Array, "*b"]  # m
 
     @property
-    def done(self) -> Bool[Array, "*b"]:
-        """Whether the trees met, or one is full."""
-        return (self.met[..., 0] >= 0) | (self.count >= self.used.shape[-1]).any(-1)
+    def going(self) -> Bool[Array, "*b"]:
+        """Whether the trees have not met, and there is room and time for more."""
+        room = (self.count < self.used.shape[-1]).all(-1)
+        return (self.met[..., 0] < 0) & room & (self.checks < self.most)
 
 
-def roots(query: MotionQuery, nodes: int) -> JointTrees:
-    """Trees of one query that have only roots."""
+def begun(
+    query: MotionQuery, lengths: Lengths, nodes: int, most: int, margin: float, key: Key[Array, ""]
+) -> JointSearch:
+    """The search of one query: trees of roots alone, and the line from the start to the nearest goal."""
     goals, size = query.goals.shape
     joints = jnp.zeros((2, nodes, size), query.start.dtype)
     joints = joints.at[0, 0].set(query.start).at[1, :goals].set(query.goals)
     used = jnp.zeros((2, nodes), bool).at[0, 0].set(True).at[1, :goals].set(query.active)
     zero = jnp.zeros((), int)
-    return JointTrees(
-        joints, jnp.full((2, nodes), -1), used, jnp.array([1, goals]), zero, jnp.full(2, -1), zero, zero
+    search = JointSearch(
+        joints=joints,
+        parents=jnp.full((2, nodes), -1),
+        used=used,
+        count=jnp.array([1, goals]),
+        line=line_to(query.start, query.start, lengths.step),
+        tree=zero,
+        near=zero,
+        aim=query.start,
+        aimed=zero - 1,
+        turn=zero + 1,
+        met=jnp.full(2, -1),
+        drawn=zero,
+        checks=zero,
+        most=jnp.where(query.active.any(), most, 0),
+        margin=jnp.full((), margin, query.start.dtype),
     )
+    nothing = Outcome(zero, jnp.array(True), jnp.array(False))  # so that a line is begun
+    return grown(query, search, nothing, lengths, key)
 
 
 def grown(
-    query: MotionQuery, trees: JointTrees, free: Free, step: float, points: int, key: Key[Array, ""]
-) -> JointTrees:
-    """The trees after one step; ``points`` are checked on each straight line, at most ``step`` apart."""
-    here, there = trees.turn, 1 - trees.turn
-
-    def go(
-        now: tuple[JointTrees, Array], tree: Array
-    ) -> tuple[tuple[JointTrees, Array], tuple[Array, Array]]:
-        trees, aim = now
-        near = _nearest(trees, tree, aim)
-        begin = trees.joints[tree, near]
-        end, reached = _straight(begin, aim, free, step, points)
-        moved = jnp.any(end != begin)
-        trees = _added(trees, tree, near, end, moved)
-        return (trees, end), (jnp.where(moved, trees.count[tree] - 1, near), reached | jnp.all(begin == aim))
-
-    both = jnp.stack([here, there])  # a loop, so that it is compiled once
-    (trees, _), (nodes, reached) = jax.lax.scan(go, (trees, _drawn(query, trees, there, key)), both)
-    met = jnp.where(reached[1], nodes[both], trees.met)  # ``both`` is its own inverse
-    return eqx.tree_at(
-        lambda t: (t.turn, t.met, t.steps, t.checks),
-        trees,
-        (there, met, trees.steps + 1, trees.checks + 2 * points),
+    query: MotionQuery, search: JointSearch, outcome: Outcome, lengths: Lengths, key: Key[Array, ""]
+) -> JointSearch:
+    """The search after some places of its line were asked."""
+    going, line, tree = search.going, search.line, search.tree
+    passed, failed = outcome.passed & going, outcome.failed & going
+    connects, there = search.aimed >= 0, jnp.all(line.end == search.aim)
+    new = search.count[tree]
+    place = jnp.where(passed, new, search.used.shape[-1])  # beyond the end: dropped
+    joints = search.joints.at[tree, place].set(line.end, mode="drop")
+    used = search.used.at[tree, place].set(True, mode="drop")
+    met = jnp.where(
+        passed & connects & there, jnp.where(jnp.arange(2) == tree, new, search.aimed), search.met
     )
 
+    draws, onward = failed, passed & connects
+    turn = jnp.where(draws, 1 - search.turn, search.turn)
+    drawn = _drawn(query, search, turn, jax.random.fold_in(key, search.drawn))
+    next_tree = jnp.where(draws, turn, jnp.where(onward, tree, 1 - tree))
+    aim = jnp.where(draws, drawn, jnp.where(connects, search.aim, line.end))
+    aimed = jnp.where(draws, -1, jnp.where(connects, search.aimed, new))
+    near = jnp.where(onward, new, _nearest(joints[next_tree], used[next_tree], aim))
+    begin = joints[next_tree, near]
+    far = jnp.max(jnp.abs(aim - begin))
+    touches = passed & ~connects & jnp.all(begin == aim)  # the line led to a root of the other tree
+    met = jnp.where(touches, jnp.where(jnp.arange(2) == tree, new, near), met)
+    part = begin + jnp.minimum(1.0, lengths.longest / jnp.maximum(far, 1e-9)) * (aim - begin)
+    following = line_to(begin, jnp.where(far <= lengths.longest, aim, part), lengths.step)
 
-def _drawn(query: MotionQuery, trees: JointTrees, there: Array, key: Array) -> Float[Array, "J"]:
-    """Joints within the bounds; every other time the other tree's last, so that a way that is begun goes on.
-
-    At first, and now and then, it is a root of the other tree.
-    """
-    for_joints, for_root, for_choice = jax.random.split(key, 3)
-    joints = jax.random.uniform(for_joints, query.start.shape, query.start.dtype, query.low, query.high)
-    likely = jnp.where(query.active, 0.0, -jnp.inf)
-    root = jnp.where(there == 0, 0, jax.random.categorical(for_root, likely))
-    choice = jax.random.uniform(for_choice)
-    to_root = (trees.steps < 2) | (choice < 0.05)
-    node = jnp.where(to_root, root, trees.count[there] - 1)
-    return jnp.where(to_root | (choice < 0.5), trees.joints[there, node], joints)
-
-
-def _nearest(trees: JointTrees, tree: Array, joints: Float[Array, "J"]) -> Int[Array, ""]:
-    square = ((trees.joints[tree] - joints) ** 2).sum(-1)
-    return jnp.argmin(jnp.where(trees.used[tree], square, jnp.inf))
-
-
-def _straight(
-    begin: Float[Array, "J"], end: Float[Array, "J"], free: Free, step: float, points: int
-) -> tuple[Float[Array, "J"], Bool[Array, ""]]:
-    """How far one gets from ``begin`` towards ``end``, and whether one gets there."""
-    longest = jnp.max(jnp.abs(end - begin))
-    part = jnp.minimum(1.0, points * step / jnp.maximum(longest, 1e-9))
-    fractions = part * jnp.arange(1, points + 1) / points
-    passed = jax.vmap(free)(begin + fractions[:, None] * (end - begin))
-    count = jnp.cumprod(passed).sum()
-    to = begin + jnp.where(count > 0, fractions[count - 1], 0.0) * (end - begin)
-    whole = (count == points) & (part >= 1)
-    return jnp.where(whole, end, to), whole
-
-
-def _added(trees: JointTrees, tree: Array, parent: Array, joints: Array, wanted: Array) -> JointTrees:
-    """With one more node, unless it is not wanted."""
-    place = jnp.where(wanted, trees.count[tree], trees.used.shape[-1])  # beyond the end: dropped
+    ended = passed | failed
+    left = eqx.tree_at(lambda one: one.asked, line, line.asked + jnp.where(going, outcome.asked, 0))
+    after = following, next_tree, near, aim, aimed, turn
+    before = left, tree, search.near, search.aim, search.aimed, search.turn
     return eqx.tree_at(
-        lambda t: (t.joints, t.parents, t.used, t.count),
-        trees,
+        lambda s: (
+            *(s.joints, s.parents, s.used, s.count, s.met, s.drawn, s.checks),
+            *(s.line, s.tree, s.near, s.aim, s.aimed, s.turn),
+        ),
+        search,
         (
-            trees.joints.at[tree, place].set(joints, mode="drop"),
-            trees.parents.at[tree, place].set(parent, mode="drop"),
-            trees.used.at[tree, place].set(True, mode="drop"),
-            trees.count.at[tree].add(wanted),
+            joints,
+            search.parents.at[tree, place].set(search.near, mode="drop"),
+            used,
+            search.count.at[tree].add(passed),
+            met,
+            search.drawn + draws,
+            search.checks + jnp.where(going, outcome.asked, 0),
+            *jax.tree.map(lambda new, old: jnp.where(ended, new, old), after, before),
         ),
     )
+
+
+def _drawn(query: MotionQuery, search: JointSearch, turn: Array, key: Array) -> Float[Array, "J"]:
+    """Joints to grow towards: first the goal that is nearest to the start, then such around the straight way.
+
+    Motions that go far around are rare, and joints that are drawn evenly are nearly always far from anywhere
+    of use; some are all the same, so that nothing is out of reach.
+    """
+    keys = iter(jax.random.split(key, 6))
+    low, high, start = query.low, query.high, query.start
+    square = ((query.goals - start) ** 2).sum(-1)
+    nearest = jnp.argmin(jnp.where(query.active, square, jnp.inf))
+    first = search.drawn == 0
+    likely = jnp.where(query.active, 0.0, -jnp.inf)
+    goal = query.goals[jnp.where(first, nearest, jax.random.categorical(next(keys), likely))]
+    spread = jax.random.choice(next(keys), jnp.array(SPREADS, start.dtype))
+    spread = jnp.minimum(spread, (high - low) / 4)
+    way = start + jax.random.uniform(next(keys), (), start.dtype) * (goal - start)
+    around = jnp.clip(way + spread * jax.random.normal(next(keys), start.shape, start.dtype), low, high)
+    anywhere = jax.random.uniform(next(keys), start.shape, start.dtype, low, high)
+    choice = jax.random.uniform(next(keys))
+    joints = jnp.where(choice < ANYWHERE, anywhere, around)
+    root = jnp.where(turn == 0, goal, start)
+    return jnp.where(first | (choice > 1 - AT_ROOT), root, joints)
+
+
+def _nearest(joints: Float[Array, "N J"], used: Bool[Array, "N"], to: Float[Array, "J"]) -> Int[Array, ""]:
+    return jnp.argmin(jnp.where(used, ((joints - to) ** 2).sum(-1), jnp.inf))

@@ -21,7 +21,7 @@ from doojax.types import Obstacles
 IK = IkSettings(starts=24)
 GOALS = 4  # solutions of inverse kinematics that a motion may end in
 SIDE_BY_SIDE = 4  # motions
-SEARCH = MotionSettings(steps=100, nodes=128, waypoints=48, lanes=SIDE_BY_SIDE)
+SEARCH = MotionSettings(checks=3200, nodes=256, waypoints=48, lanes=SIDE_BY_SIDE)
 
 
 def free_to_move(robot: Robot, tool: str, moving: tuple[int, ...], *, alone: bool) -> np.ndarray:

@@ -40,7 +40,7 @@ POST = Obstacles(
     jnp.array([[0.05, 0.05, 0.5]]),
     jnp.ones(1, bool),
 )
-SETTINGS = MotionSettings(steps=300, nodes=128, points=10, waypoints=48, shortcuts=30, lanes=4)
+SETTINGS = MotionSettings(checks=1000, nodes=128, waypoints=48, shortcuts=30, lanes=4)
 PLANNER = MotionPlanner(ROBOT, POST, (0, 1), settings=SETTINGS)
 KEY = jax.random.key(0)
 # beside the post to its other side; nothing in the way; a goal inside the post; one beyond the limits
@@ -60,7 +60,7 @@ def exact(joints):
 
 def test_what_can_be_reached_is_and_what_cannot_is_not(plans):
     assert plans.solved.tolist() == [True, True, False, False, True]
-    assert int(plans.checks[2]) >= 100 * 2 * 8 > 200 > int(plans.checks[1]) and int(plans.checks[3]) == 0
+    assert int(plans.checks[2]) >= 1000 > 100 > int(plans.checks[1]) and int(plans.checks[3]) == 0
     for query in (2, 3):
         assert int(plans.count[query]) == 1 and (plans.waypoints[query] == STARTS[query]).all()
 
@@ -135,7 +135,9 @@ def test_bad_queries_are_told():
         check(STARTS[0], [[3.2, 0.0, 0.0]])
     with pytest.raises(ValueError, match=r"no goal is farther than 0\.005 m .* the best is -0\.07 m"):
         check(STARTS[0], [[0.0, 0.0, 0.0]])
-    with pytest.raises(ValueError, match="steps is 0, expected more than 0"):
-        MotionSettings(steps=0)
+    with pytest.raises(ValueError, match="checks is 0, expected more than 0"):
+        MotionSettings(checks=0)
+    with pytest.raises(ValueError, match=r"longest is 2\.0 rad, expected at most 512 times step, 0\.003 rad"):
+        MotionSettings(step=0.003)
     with pytest.raises(ValueError, match="nodes is 1, expected 2 or more"):
         MotionSettings(nodes=1)
