@@ -9,6 +9,9 @@ from doojax.planning.mppi import Nominal as Nominal
 from doojax.planning.mppi import Rollouts as Rollouts
 from doojax.planning.mppi import rolled_out as rolled_out
 from doojax.planning.mppi import timed_rolled_out as timed_rolled_out
+from doojax.planning.predicted import PredictedRollouts as PredictedRollouts
+from doojax.planning.predicted import Unreliable as Unreliable
+from doojax.planning.risk import Risk as Risk
 from doojax.planning.rrt import HostDynamics as HostDynamics
 from doojax.planning.rrt import Rrt as Rrt
 from doojax.planning.rrt import search as search

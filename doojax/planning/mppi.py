@@ -17,8 +17,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
+from doojax.geometry.frames import exact_product
 from doojax.modules import Jittable
 from doojax.parts import traced
+from doojax.planning.risk import Risk
 
 MOST = {"samples": 1_000_000, "horizon": 10_000}  # beyond these, arrays would not fit into any memory
 
@@ -35,6 +37,7 @@ class MppiSettings:
     horizon: int = 20  # controls in a plan
     temperature: float = 1.0  # the cost by which a sample must be worse to count 1/e of a better one
     noise: float | tuple[float, ...] = 1.0  # standard deviation, of all controls or of each
+    knots: int = 0  # draws along the horizon, between which noise goes on evenly; 0: each control has its own
     adapt_noise: bool = False  # the variance of each control follows that of the weighted samples
     duration: float = 0.1  # s, of each control; what the first plan expects, if durations vary
     duration_noise: float = 0.0  # s, standard deviation; every sample has one duration for all its controls
@@ -45,6 +48,8 @@ class MppiSettings:
         for name, most in MOST.items():
             if not 1 <= getattr(self, name) <= most:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 1 to {most:,}")
+        if not 0 <= self.knots <= self.horizon:
+            raise ValueError(f"knots is {self.knots}, expected 0 to the horizon, {self.horizon}")
         noise = self.noise if isinstance(self.noise, tuple) else (self.noise,)
         for name, values in {"temperature": (self.temperature,), "noise": noise}.items():
             if not values or not all(0 < value < float("inf") for value in values):
@@ -99,8 +104,8 @@ class Report(eqx.Module):
 
     samples: Samples
     states: Any  # [*b, K, H, ...] after each control
-    terms: dict[str, Float[Array, "*b K"]]  # cost of each sample by each term
-    costs: Float[Array, "*b K"]  # their sum
+    terms: dict[str, Float[Array, "*b K"]]  # cost of each sample by each term; the mean of several rollouts
+    costs: Float[Array, "*b K"]  # their sum, by `Mppi.risk` if there is one
     weights: Float[Array, "*b K"]  # sum to one; zero where a cost is not finite; all zero if none is
 
     def unpriced(self) -> dict[str, Int[Array, "*b"]]:
@@ -175,6 +180,8 @@ class Mppi(Jittable):
     low: Float[Array, "U"] = eqx.field(converter=_floats)
     high: Float[Array, "U"] = eqx.field(converter=_floats)
     settings: MppiSettings = eqx.field(static=True, default=MppiSettings())
+    # given one, rollouts lead to states [K, R, H, ...], R for each sample, such as of ropes that may be meant
+    risk: Risk | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
         """Refuse bounds and terms that say nothing."""
@@ -229,8 +236,11 @@ class Mppi(Jittable):
         """Samples around a plan, within the bounds."""
         settings = self.settings
         for_controls, for_durations = jax.random.split(key)
-        shape = (settings.samples, settings.horizon, len(self.low))
+        shape = (settings.samples, settings.knots or settings.horizon, len(self.low))
         noise = jax.random.normal(for_controls, shape, self.low.dtype)
+        if settings.knots:
+            between = _between(settings.knots, settings.horizon, noise.dtype)
+            noise = exact_product(jnp.broadcast_to(between, (len(noise), *between.shape)), noise)
         controls = jnp.clip(nominal.controls[None] + nominal.deviation * noise, self.low, self.high)
         if not settings.duration_noise:
             return Samples(controls, jnp.broadcast_to(nominal.duration, (settings.samples,)))
@@ -239,11 +249,14 @@ class Mppi(Jittable):
 
     def improved(self, nominal: Nominal, samples: Samples, states: Any) -> tuple[Nominal, Report]:
         """The weighted mean of samples whose rollouts led to ``states`` [K, H, ...]."""
-        terms = {
-            name: jax.vmap(term)(states, samples.controls).astype(self.low.dtype)
+        every = {
+            name: self._priced(term)(states, samples.controls).astype(self.low.dtype)
             for name, term in self.terms.items()
         }
-        costs = sum(terms.values(), jnp.zeros_like(samples.durations))
+        costs = sum(every.values(), jnp.zeros((), self.low.dtype))
+        terms = every
+        if self.risk is not None:
+            costs, terms = self.risk.of(costs), {name: own.mean(-1) for name, own in every.items()}
         priced = jnp.isfinite(costs)
         exponents = jnp.where(priced, -costs / self.settings.temperature, -jnp.inf)
         weights = jnp.where(priced.any(), jax.nn.softmax(jnp.where(priced.any(), exponents, 0)), 0)
@@ -257,6 +270,17 @@ class Mppi(Jittable):
         found = Nominal(controls, deviation, mean(samples.durations))
         kept = jax.tree.map(lambda new, old: jnp.where(priced.any(), new, old), found, nominal)
         return kept, Report(samples, states, terms, costs, weights)
+
+    def _priced(self, term: Term) -> Term:
+        """A term of all samples, and of all their rollouts if each has several."""
+        return jax.vmap(term if self.risk is None else jax.vmap(term, (0, None)))
+
+
+def _between(knots: int, horizon: int, dtype: Any) -> Float[Array, "H k"]:
+    """What each control has of the draws at knots: of the two beside it, so that its variance is theirs."""
+    place = jnp.linspace(0, knots - 1, horizon, dtype=dtype)[:, None]
+    near = jnp.maximum(0, 1 - jnp.abs(place - jnp.arange(knots, dtype=dtype)))
+    return near / jnp.sqrt((near**2).sum(-1, keepdims=True))
 
 
 def unwound(

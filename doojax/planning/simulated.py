@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from doojax.models.protocols import Dynamics
@@ -83,9 +84,9 @@ class Tried(eqx.Module):
     """What rollouts of MPPI led to, after each control."""
 
     seen: Any  # [K, H, ...], such as a `doojax.types.RopeState`
-    faults: Int[Array, "K H"]  # see `doojax.simulation.state.Fault`
-    clearance: Float[Array, "K H"]  # m, see `doojax.types.Trajectory`
-    stretch: Float[Array, "K H"]
+    faults: Int[Array, "*b H"]  # see `doojax.simulation.state.Fault`
+    clearance: Float[Array, "*b H"]  # m, see `doojax.types.Trajectory`
+    stretch: Float[Array, "*b H"]
 
 
 class SimulatedRollouts:
@@ -99,10 +100,28 @@ class SimulatedRollouts:
         self._simulator, self._action = simulator, action
 
     def many(self, state: SimState, controls: Float[Array, "K H U"], durations: Float[Array, "K"]) -> Tried:
-        """See `doojax.planning.mppi.HostRollouts`."""
+        """See `doojax.planning.mppi.HostRollouts`.
+
+        Of a batch of R states, such as of one scene with the ropes that may be meant
+        (`doojax.tasks.ropes.carrying`), every sample is rolled out from each: to states [K, R, H, ...], for
+        `Mppi.risk`.
+        """
+        if np.ndim(state.qpos) == 2:
+            return self._from_each(state, controls, durations)
         count, horizon = controls.shape[:2]
         states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), state)
-        actions = controls.reshape(count, horizon, *self._action)
+        return self._tried(states, controls.reshape(count, horizon, *self._action))
+
+    def _from_each(self, states: SimState, controls: Array, durations: Array) -> Tried:
+        samples, ropes = len(controls), len(states.qpos)
+        every = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, (samples, *leaf.shape)).reshape(-1, *leaf.shape[1:]), states
+        )
+        actions = jnp.repeat(controls, ropes, axis=0).reshape(-1, controls.shape[1], *self._action)
+        found = self._tried(every, actions)
+        return jax.tree.map(lambda leaf: leaf.reshape(samples, ropes, *leaf.shape[1:]), found)
+
+    def _tried(self, states: SimState, actions: Array) -> Tried:
         _, trajectory = self._simulator.rollout(states, actions)
         seen, clearance, stretch = jax.tree.map(
             lambda leaf: leaf[:, 1:], (trajectory.states, trajectory.clearance, trajectory.stretch)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from doojax.planning import Mppi, MppiSettings, rolled_out, timed_rolled_out
+from doojax.planning import Mppi, MppiSettings, Risk, rolled_out, timed_rolled_out
 from doojax.planning.costs import final, summed
 from doojax.planning.mppi import PRESETS, unwound
 
@@ -161,6 +161,17 @@ def test_the_same_key_gives_the_same_plan_and_compiles_once():
     assert not jnp.array_equal(first.controls, other.controls)
 
 
+def test_noise_between_knots_is_as_large_and_changes_slowly():
+    settings = replace(LINEAR, samples=20_000, horizon=9, knots=3)
+    found = np.asarray(linear(settings).draw(linear(settings).start(), jax.random.key(2)).controls[..., 0])
+    assert found.std(0) == pytest.approx(settings.noise, rel=0.03)
+    alike = np.corrcoef(found.T)
+    assert alike[0, 4] == pytest.approx(0, abs=0.03)  # knots know nothing of each other
+    # a quarter of the way from one knot to the next: 3/4 of the one, 1/4 of the other
+    assert alike[0, 1] == pytest.approx(0.75 / np.hypot(0.75, 0.25), abs=0.01)
+    assert alike[1, 2] == pytest.approx((0.75 + 0.25) / (np.hypot(0.75, 0.25) * 2**0.5), abs=0.01)
+
+
 def test_what_is_left_begins_with_the_second_control_and_ends_at_rest():
     nominal = eqx.tree_at(lambda n: n.controls, LQ.start(), jnp.arange(1.0, 5.0)[:, None])
     assert nominal.advanced().controls[:, 0].tolist() == [2, 3, 4, 0]
@@ -218,6 +229,40 @@ def test_durations_and_noise_follow_what_was_good():
     )
 
 
+def test_costs_of_several_rollouts_are_one_by_their_risk():
+    costs = jnp.array([[4.0, 1.0, 3.0, 2.0], [0.0, 0.0, 0.0, 8.0]])
+    assert Risk().of(costs).tolist() == [2.5, 2.0]
+    assert Risk("worst").of(costs).tolist() == [4.0, 8.0]
+    assert Risk("cvar", 0.5).of(costs).tolist() == [3.5, 4.0]
+    # of 1.5 rollouts: the worst, and half of the next
+    assert np.asarray(Risk("cvar", 0.375).of(costs)) == pytest.approx([(4 + 1.5) / 1.5, 8 / 1.5])
+    with pytest.raises(ValueError, match=r"tail is 0\.0, expected a share"):
+        Risk("cvar", 0.0)
+    with pytest.raises(ValueError, match="risk is 'median', expected mean, worst or cvar"):
+        Risk("median")
+
+
+def test_what_may_go_very_wrong_is_left_alone_by_those_who_look_at_the_worst():
+    """A push of u gains u, or, one time in four, loses 8 u."""
+    gains = jnp.array([-1.0, -1.0, -1.0, 8.0])
+
+    def rollouts(state, controls, durations):
+        return state + gains[None, :, None] * controls[:, None, :, 0]
+
+    terms = {"cost": lambda states, controls: states.sum()}
+    settings = replace(LINEAR, samples=512, horizon=1, temperature=0.1)
+    found = {}
+    for risk in (Risk(), Risk("worst"), Risk("cvar", 0.25)):
+        controller = Mppi(rollouts, terms, [-1.0], [1.0], settings, risk)
+        nominal, report = jax.jit(controller)(controller.start(), jnp.zeros(()), jax.random.key(0))
+        found[risk.kind] = float(nominal.controls[0, 0])
+        expected = report.samples.controls[:, 0, 0] * (-3 + 8) / 4
+        assert np.asarray(report.terms["cost"]) == pytest.approx(np.asarray(expected), abs=1e-5)
+        assert report.costs.shape == (512,)
+    assert found["mean"] < -0.5  # it loses 5/4 u on average
+    assert abs(found["worst"]) < 0.15 and found["worst"] == pytest.approx(found["cvar"], abs=1e-6)
+
+
 def test_a_cost_that_is_nan_counts_for_nothing_and_is_named():
     terms = TERMS | {"root": lambda states, controls: jnp.sqrt(controls[0, 0])}
     controller = linear(terms=terms)
@@ -242,6 +287,7 @@ def test_a_cost_that_is_nan_counts_for_nothing_and_is_named():
     [
         ({"horizon": 0}, "horizon is 0, expected 1 to 10,000"),
         ({"samples": 0}, "samples is 0, expected 1 to"),
+        ({"knots": 21}, "knots is 21, expected 0 to the horizon, 20"),
         ({"temperature": 0.0}, "temperature is 0.0, expected positive"),
         ({"temperature": float("nan")}, "temperature is nan, expected positive"),
         ({"noise": (0.1, -1.0)}, "noise is (0.1, -1.0), expected positive"),

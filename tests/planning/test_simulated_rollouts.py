@@ -1,5 +1,7 @@
 """MPPI over a simulator in C: its rollouts are the simulator's, and a hand goes where its cost is least."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +24,18 @@ def test_rollouts_are_the_simulators_without_their_first_states():
     np.testing.assert_array_equal(tried.seen.points, expected.states.points[:, 1:])
     np.testing.assert_array_equal(tried.clearance, expected.clearance[:, 1:])
     assert tried.faults.shape == (3, 4)
+
+
+def test_from_several_states_every_sample_is_rolled_out_from_each():
+    controls = jax.random.uniform(jax.random.key(0), (3, 2, 3), minval=-0.02, maxval=0.02)
+    states = straight_states(SCENE, 2)
+    states = replace(states, qvel=states.qvel.at[1].add(0.3))
+    both = ROLLOUTS.many(states, controls, jnp.zeros(3))
+    for number in range(2):
+        alone = ROLLOUTS.many(jax.tree.map(lambda leaf, n=number: leaf[n], states), controls, jnp.zeros(3))
+        np.testing.assert_array_equal(both.seen.points[:, number], alone.seen.points)
+        np.testing.assert_array_equal(both.faults[:, number], alone.faults)
+    assert float(jnp.abs(both.seen.points[:, 0] - both.seen.points[:, 1]).max()) > 1e-3
 
 
 def test_the_hand_goes_to_its_goal():
