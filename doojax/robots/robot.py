@@ -8,6 +8,7 @@ offsets and rotations about axes, and nothing else.
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -41,7 +42,9 @@ class Robot(Jittable):
     zero: Float[Array, "J"]  # coordinates of the zero posture
     low: Float[Array, "J"]  # limits; infinite where there are none
     high: Float[Array, "J"]
-    speed: Float[Array, "J"]  # largest, rad/s or m/s, of joints commanded by velocity; infinite for others
+    speed: Float[
+        Array, "J"
+    ]  # largest, rad/s or m/s, as velocity controllers or a URDF file say; else infinite
     tool_position: Float[Array, "T 3"]  # in the frame of the tool's link, m
     tool_quaternion: Float[Array, "T 4"]
     capsule_ends: Float[Array, "2 S 3"]  # in the frames of their links, m
@@ -95,7 +98,8 @@ def read_robot(source: "Path | mujoco.MjModel", tools: tuple[str, ...]) -> Robot
     """
     import mujoco  # on first use: robots are arrays, and most of their users need no simulator
 
-    model = mujoco.MjModel.from_xml_path(str(source)) if isinstance(source, Path) else source
+    model = _compiled(source) if isinstance(source, Path) else source
+    urdf = _urdf_speeds(source) if isinstance(source, Path) else {}
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     names = tuple(model.joint(j).name or f"joint{j}" for j in range(model.njnt))
@@ -128,7 +132,7 @@ def read_robot(source: "Path | mujoco.MjModel", tools: tuple[str, ...]) -> Robot
         zero=array(model.qpos0, float),
         low=array(np.where(limited, model.jnt_range[:, 0], -np.inf), float),
         high=array(np.where(limited, model.jnt_range[:, 1], np.inf), float),
-        speed=array(_speeds(model), float),
+        speed=array(_speeds(model, urdf), float),
         tool_position=array([place - at[link] for link, place, _ in places], float).reshape(-1, 3),
         tool_quaternion=array([turn for _, _, turn in places], float).reshape(-1, 4),
         capsule_ends=array(ends, float),
@@ -167,10 +171,29 @@ def _place(model: "mujoco.MjModel", data: "mujoco.MjData", name: str, links: lis
     )
 
 
-def _speeds(model: "mujoco.MjModel") -> np.ndarray:
+def _compiled(source: Path) -> "mujoco.MjModel":
+    """The model of a file; links of a URDF file that do not move, such as tools, stay what they are."""
     import mujoco
 
-    speeds = np.full(model.njnt, np.inf)
+    spec = mujoco.MjSpec.from_file(str(source))
+    spec.compiler.fusestatic = False
+    return spec.compile()
+
+
+def _urdf_speeds(source: Path) -> dict[str, float]:
+    """By joint the speed limits of a URDF file, which MuJoCo drops; of other files none."""
+    root = ElementTree.parse(source).getroot()
+    if root.tag != "robot":
+        return {}
+    limits = ((joint.get("name", ""), joint.find("limit")) for joint in root.iter("joint"))
+    given = ((name, float(one.get("velocity", "inf"))) for name, one in limits if one is not None)
+    return {name: speed for name, speed in given if speed > 0}
+
+
+def _speeds(model: "mujoco.MjModel", urdf: dict[str, float]) -> np.ndarray:
+    import mujoco
+
+    speeds = np.array([urdf.get(model.joint(joint).name, np.inf) for joint in range(model.njnt)])
     for actuator in range(model.nu):
         velocity = model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR
         of_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
