@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
-from doojax.simulation.engines.mujoco import MujocoSimulator
+from doojax.simulation.build import build_model
+from doojax.simulation.engines.mujoco import MujocoSimulator, write_state
 from doojax.simulation.grasps import check_grasp, grasp_places, graspable, grasped, released, rope_point
 from doojax.simulation.rope import RopeModel, RopeParameters
 from doojax.simulation.scenes import Gripper, Scene, SolverSettings
@@ -117,6 +119,60 @@ def test_a_hand_grasps_elsewhere_while_the_other_holds():
     again = after(grasped(SCENE, near, 1, place), 3)
     assert gap(again, 0, 0.1) < 2e-3 and gap(again, 1, place) < 2e-3
     assert grasp_places(SCENE, again) == pytest.approx(np.array([0.1, place]), abs=1e-6)
+
+
+WEIGHTLESS = replace(SCENE, gravity=0.0, viscosity=0.0)
+
+
+def stepped(state, steps: int):
+    """Of the rope and the hands, without weight: what MuJoCo's own forces explain, step by step.
+
+    Change of the rope's linear momentum and the impulse of constraints on it (N s); change of the energy of
+    everything and the work of constraints and controllers (J).
+    """
+    model = build_model(WEIGHTLESS)
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data = mujoco.MjData(model)
+    write_state(model, WEIGHTLESS.layout, state)
+    mujoco.mj_resetData(model, data)
+    data.qpos[:], data.qvel[:] = state.qpos, state.qvel
+    data.ctrl[:] = np.asarray(state.commanded).ravel()
+    linear = WEIGHTLESS.layout.places["rope"].dofs[:3]
+
+    def momentum():
+        found = np.zeros(model.nv)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_mulM(model, data, found, data.qvel)
+        return found[linear], float(data.energy.sum())
+
+    before, rows = momentum(), []
+    for _ in range(steps):
+        speed, held, driven = data.qvel.copy(), data.qfrc_constraint.copy(), data.qfrc_actuator.copy()
+        mujoco.mj_step(model, data)
+        after, way = momentum(), model.opt.timestep * (speed + data.qvel) / 2
+        impulse = model.opt.timestep * held[linear]
+        rows.append([*(after[0] - before[0]), after[1] - before[1], *impulse, (held + driven) @ way])
+        before = after
+    found = np.array(rows)
+    end = replace(state, qpos=jnp.asarray(data.qpos, jnp.float32), qvel=jnp.asarray(data.qvel, jnp.float32))
+    return found[:, :3], found[:, 4:7], found[:, 3], found[:, 7], end
+
+
+def test_momentum_and_energy_change_by_what_the_hold_explains():
+    state = held(0.3, None)
+    away = state.qpos.at[SCENE.layout.driven[0]].add(jnp.array([0.0, 0.012, 0.016]))  # 2 cm
+    state = replace(state, qpos=away, commanded=away[SCENE.layout.driven])
+    assert (grasped(SCENE, state, 0, 0.3).qvel == state.qvel).all()  # a grasp itself moves nothing
+    gained, impulse, energy, work, moving = stepped(state, 60)
+    largest = np.abs(impulse).max()
+    assert largest > 1e-3  # the hold closes the gap
+    np.testing.assert_allclose(gained, impulse, atol=0.05 * largest)
+    assert (energy <= work + 0.05 * np.abs(work).max()).all()
+
+    gained, impulse, energy, _, _ = stepped(released(SCENE, moving, 0), 60)
+    assert np.abs(impulse).max() == 0
+    assert np.abs(gained).max() < 0.02 * largest
+    assert (np.cumsum(energy) < 0.01 * np.abs(work).sum()).all()
 
 
 def test_each_element_of_a_batch_has_its_own_grasp_without_a_new_compile():
