@@ -58,6 +58,15 @@ class ActionSpace(Protocol):
         ...
 
 
+@runtime_checkable
+class DrawsWhereItIs(Protocol):
+    """What an action space may have besides: random data whose actions depend on the state."""
+
+    def draw_in(self, key: Array, state: Any) -> Float[Array, "..."]:
+        """An action of random data in a given state; it may be invalid there."""
+        ...
+
+
 def nothing_of(space: ActionSpace) -> Float[Array, "..."]:
     """Zeros of an action's shape."""
     drawn = jax.eval_shape(space.draw, stream(0, "shape"))
@@ -86,5 +95,8 @@ def sampled(
     def valid(action):
         return space.valid(state, action)
 
-    fresh = first_valid(draw_key, space.draw, valid, fallback=space.retreat(state))
+    def draw(key):
+        return space.draw_in(key, state) if isinstance(space, DrawsWhereItIs) else space.draw(key)
+
+    fresh = first_valid(draw_key, draw, valid, fallback=space.retreat(state))
     return jnp.where(repeat & valid(previous), previous, fresh)

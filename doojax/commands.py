@@ -74,6 +74,10 @@ COMMANDS: Commands = {
         "doojax.experiments.sweeps.adaptation:adaptation_study",
         "adapt dynamics from one rope to another among obstacles, and compare methods",
     ),
+    "watering-study": (
+        "doojax.experiments.sweeps.watering:watering_study",
+        "adapt dynamics of pouring to a plant by several methods, and compare",
+    ),
     "evaluate-model": (
         "doojax.experiments.training.evaluate:evaluate_model",
         "measure a trained model on data that it has not seen",

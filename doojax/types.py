@@ -107,6 +107,61 @@ class PushingState(eqx.Module):
         )
 
 
+WHOLE = 0.5  # m, by which the gauge of what was poured rises for all of a fluid
+SPILT = 1.25  # m, by which that of what was spilled does: 5 % are as far as 12.5 % of what is poured
+GAUGES = ((0.0, -1.0, 0.0), (0.0, -1.2, 0.0))  # m, where they stand, from the receiver: in nobody's way
+
+
+class PouringState(eqx.Module):
+    """What is seen of a container that pours into another, along x, turning about y.
+
+    Volumes are seen as gauges that stand beside the receiver, so that metric, goals and errors have metres: a
+    gauge is a body that rises with what was poured, another with what was spilled.
+    """
+
+    container: Float[Array, "*b 3"]  # the middle of its inner floor, world frame, metres
+    angle: Float[Array, "*b"]  # from upright towards +x, rad
+    receiver: Float[Array, "*b 3"]  # the same of the other, which stands upright
+    volumes: Float[Array, "*b 2"]  # in the receiver and in the container, parts of the whole
+    size: Float[Array, "*b 2"]  # of the container: outer width along x, and height, metres
+
+    @property
+    def passive(self) -> int:
+        """The gauges and the container's place, which may have been stopped by what it met."""
+        return 3
+
+    @property
+    def spilled(self) -> Float[Array, "*b"]:
+        """What is in neither, in the air or on the floor, as a part of the whole."""
+        return jnp.clip(1 - self.volumes.sum(-1), 0.0, 1.0)
+
+    def bodies(self) -> Float[Array, "*b 7 3"]:
+        """The gauges of what was poured and spilled, the container's place, and its corners in the plane."""
+        up = jnp.array([0.0, 0.0, 1.0])
+        heights = WHOLE * self.volumes[..., :1], SPILT * self.spilled[..., None]
+        gauges = [
+            self.receiver + jnp.array(at) + up * height for at, height in zip(GAUGES, heights, strict=True)
+        ]
+        return jnp.stack([*gauges, self.container, *self.corners()], axis=-2)
+
+    def corners(self) -> list[Float[Array, "*b 3"]]:
+        """Of the container's floor and rim, left and right, in the plane of its middle, metres."""
+        cosine, sine = jnp.cos(self.angle)[..., None], jnp.sin(self.angle)[..., None]
+        across = jnp.concatenate([cosine, jnp.zeros_like(cosine), -sine], axis=-1)
+        upwards = jnp.concatenate([sine, jnp.zeros_like(cosine), cosine], axis=-1)
+        half, height = self.size[..., :1] / 2, self.size[..., 1:]
+        return [
+            self.container + side * half * across + level * height * upwards
+            for side, level in ((-1, 0), (1, 0), (-1, 1), (1, 1))
+        ]
+
+    def moved(self, motion: Motion) -> "PouringState":
+        """The same elsewhere; turned about the vertical by nothing but what keeps it in its plane."""
+        return PouringState(
+            motion.points(self.container), self.angle, motion.points(self.receiver), self.volumes, self.size
+        )
+
+
 class ShapeKind(IntEnum):
     """How `Obstacles.half_size` is read."""
 

@@ -21,7 +21,6 @@ from doojax.datasets.writer import DatasetWriter
 from doojax.files import alone_in
 from doojax.keys import check_seed, numbered, stream
 from doojax.simulation.engines import resolve_engine
-from doojax.simulation.scenes import Scene
 from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Phase, Task, observed
@@ -35,6 +34,11 @@ STATES = {  # units and meanings of the fields of states
     "positions": ("m", "centres of what is pushed, world frame"),
     "velocities": ("m/s", "their velocities"),
     "hand": ("m", "position of the hand, world frame"),
+    "container": ("m", "the middle of the floor of what pours, world frame"),
+    "angle": ("rad", "by which it is tilted, from upright towards +x"),
+    "receiver": ("m", "the middle of the floor of what is poured into, world frame"),
+    "volumes": ("1", "what is in the receiver and in what pours, parts of the whole"),
+    "size": ("m", "outer width and height of what pours"),
 }
 
 
@@ -247,7 +251,7 @@ def schema(task: Task, periods: int) -> dict[str, Field]:
     return {name: field for name, field in every.items() if name not in _absent(scene)}
 
 
-def _absent(scene: Scene) -> set[str]:
+def _absent(scene: Any) -> set[str]:
     """What trajectories of a scene without ropes, or without obstacles, do not have."""
     absent = set() if scene.links else {"stretch"}
     if not scene.obstacles:

@@ -3,9 +3,9 @@
 from collections.abc import Collection
 from dataclasses import fields
 
-from doojax.types import PushingState, RopeState
+from doojax.types import PouringState, PushingState, RopeState
 
-KINDS = (RopeState, PushingState)
+KINDS = (RopeState, PushingState, PouringState)
 
 
 def state_names(stored: Collection[str]) -> tuple[type, tuple[str, ...]]:

@@ -24,6 +24,7 @@ from doojax.learning.pieces import chunked, cut
 from doojax.learning.runs import RunDirectory
 from doojax.models.classifier import ClassifierConfig
 from doojax.models.deviation import DeviationEstimator
+from doojax.models.pouring import PouringJudgeConfig
 from doojax.models.protocols import Dynamics
 from doojax.types import Obstacles, Transition
 
@@ -45,7 +46,7 @@ class DeviationExamples(eqx.Module):
 class DeviationConfig:
     """How a deviation estimator is trained."""
 
-    network: ClassifierConfig
+    network: ClassifierConfig | PouringJudgeConfig
     horizon: int = 2  # steps that are predicted from each state: the first from a true one
     bias: float = 50.0
     """k_h, 1/m: how soon large deviations need not be predicted well. The thesis's 10 is for an error that is

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from doojax.learning.buffer import Buffer
 from doojax.learning.data import Trajectories
 from doojax.learning.fit import shuffled
-from doojax.models.dynamics import UnconstrainedDynamics
+from doojax.models.builders import dynamics_network
 from doojax.models.protocols import Dynamics
 from doojax.models.rolling import roll_out
 
@@ -43,7 +43,7 @@ class DynamicsProblem(eqx.Module):
     validation: Trajectories
     config: Any = eqx.field(static=True)  # of the network
     normalise: bool = eqx.field(static=True)  # does `init` scale inputs and outputs by the training data?
-    network: Any = eqx.field(static=True, default=UnconstrainedDynamics)  # makes one of config and key
+    network: Any = eqx.field(static=True, default=dynamics_network)  # makes one of config and key
     steps: int = eqx.field(static=True, default=0)  # of an epoch; 0: as many as the data make; for a buffer
     at_once: int = eqx.field(static=True, default=4096)  # validated trajectories; more may take much memory
 

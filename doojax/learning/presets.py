@@ -9,10 +9,12 @@ from doojax.models.classifier import ClassifierConfig, DistanceClassifier
 from doojax.models.dynamics import DynamicsConfig
 from doojax.models.full_dynamics import FullDynamicsConfig
 from doojax.models.local import Origin
+from doojax.models.pouring import PouringConfig, PouringJudgeConfig
 from doojax.models.rasters import view
 from doojax.models.voxel_classifier import VoxelClassifierConfig
 from doojax.simulation.rope import FRICTION_DIRECTIONS
 from doojax.tasks.base import Task
+from doojax.types import PouringState
 
 PresetName = Literal["quick", "thesis"]
 
@@ -27,6 +29,10 @@ class Preset:
 
 def dynamics_preset(name: PresetName, task: Task) -> Preset:
     """`quick`: smaller networks, canonical frames, inputs scaled to unit variance; `thesis`: none of it."""
+    if isinstance(task.blank, PouringState):
+        thesis = name == "thesis"
+        network = PouringConfig(width=1024, depth=4) if thesis else PouringConfig()
+        return Preset(network, FitConfig(epochs=120, batch_size=32, members=4, learning_rate=1e-3))
     size = {"points": task.scene.links, "grippers": task.grippers, "origin": origin(task)}
     if name == "thesis":
         return Preset(
@@ -64,6 +70,8 @@ def voxel_classifier_preset(name: PresetName, task: Task) -> Preset:
 
 def deviation_preset(name: PresetName, task: Task) -> Preset:
     """The network of the classifier from distances; `thesis` trains as its released code does."""
+    if isinstance(task.blank, PouringState):
+        return Preset(PouringJudgeConfig(), FitConfig(epochs=30, batch_size=64, learning_rate=1e-3))
     network = classifier_preset(name, task).network
     if name == "thesis":
         fit = FitConfig(epochs=10, batch_size=32, learning_rate=5e-4, schedule="constant")

@@ -168,7 +168,7 @@ def train_deviation(
     """A calibrated estimator of how far off predictions are, its limit, and factors to upper bounds."""
     dataset, ensemble, task, limit, judged = judged_data(data, dynamics, threshold)
     chosen = _with_epochs(deviation_preset(preset, task), epochs)
-    bias = BIAS * float(np.sqrt(task.scene.links))
+    bias = BIAS * float(np.sqrt(task.blank.passive))
     config = DeviationConfig(chosen.network, bias=bias, fit=chosen.fit)
     files = {"data": data / MANIFEST, "dynamics": model_file(dynamics)}
     settings = {"limit_m": limit, "horizon": config.horizon, "bias": bias}

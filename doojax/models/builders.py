@@ -9,6 +9,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+from jaxtyping import Array
 
 from doojax.keys import stream
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
@@ -16,6 +17,7 @@ from doojax.models.deviation import DeviationEstimator
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble
 from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
+from doojax.models.pouring import PouringConfig, PouringDynamics, PouringJudgeConfig
 from doojax.models.recovery import RecoveryNetwork
 from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
 from doojax.reading import checked
@@ -30,11 +32,19 @@ class Members:
 
 
 def dynamics(config: Mapping[str, Any]) -> Ensemble:
-    """An `Ensemble`; config: members, and the fields of `DynamicsConfig`."""
+    """An `Ensemble`; config: members, and the fields of `DynamicsConfig` or `PouringConfig`."""
     members = checked({"members": config.get("members")}, Members).members
-    network = checked({name: config[name] for name in config if name != "members"}, DynamicsConfig)
+    about: type = PouringConfig if config.get("what") == "pouring" else DynamicsConfig
+    network = checked({name: config[name] for name in config if name != "members"}, about)
     keys = jax.random.split(stream(0, "structure"), members)
-    return Ensemble(eqx.filter_vmap(lambda key: UnconstrainedDynamics(network, key=key))(keys))
+    return Ensemble(eqx.filter_vmap(lambda key: dynamics_network(network, key=key))(keys))
+
+
+def dynamics_network(config: DynamicsConfig | PouringConfig, *, key: Array) -> Any:
+    """A fresh network of the kind that a config is for."""
+    if isinstance(config, PouringConfig):
+        return PouringDynamics(config, key=key)
+    return UnconstrainedDynamics(config, key=key)
 
 
 def classifier(config: Mapping[str, Any]) -> DistanceClassifier:
@@ -48,8 +58,9 @@ def recovery(config: Mapping[str, Any]) -> RecoveryNetwork:
 
 
 def deviation(config: Mapping[str, Any]) -> DeviationEstimator:
-    """A `DeviationEstimator`; config: the fields of `ClassifierConfig`."""
-    return DeviationEstimator(checked(config, ClassifierConfig), key=stream(0, "structure"))
+    """A `DeviationEstimator`; config: the fields of `ClassifierConfig` or `PouringJudgeConfig`."""
+    about: type = PouringJudgeConfig if config.get("what") == "pouring" else ClassifierConfig
+    return DeviationEstimator(checked(config, about), key=stream(0, "structure"))
 
 
 def full_dynamics(config: Mapping[str, Any]) -> FullDynamics:

@@ -7,6 +7,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
 from doojax.models.classifier import ClassifierConfig, DistanceClassifier
+from doojax.models.pouring import PouringJudge, PouringJudgeConfig
 from doojax.modules import Jittable
 from doojax.types import Judgement, Obstacles, Transition
 
@@ -21,15 +22,18 @@ class DeviationEstimator(Jittable):
     is below ``limit``, d_max in the thesis.
     """
 
-    network: DistanceClassifier
+    network: DistanceClassifier | PouringJudge
     scale: Float[Array, ""]  # m, what the network's output is in units of; no gradient reaches it
     power: Float[Array, ""]  # with shift, the calibration: log true = shift + power log predicted
     shift: Float[Array, ""]
     limit: Float[Array, ""]  # m, d_max
     factor: Float[Array, ""]  # from the deviation to the bound that judges: 1 is none
 
-    def __init__(self, config: ClassifierConfig, *, key: Array):
-        self.network = DistanceClassifier(config, key=key)
+    def __init__(self, config: ClassifierConfig | PouringJudgeConfig, *, key: Array):
+        if isinstance(config, PouringJudgeConfig):
+            self.network = PouringJudge(config, key=key)
+        else:
+            self.network = DistanceClassifier(config, key=key)
         self.scale, self.power, self.factor = jnp.ones(()), jnp.ones(()), jnp.ones(())
         self.shift, self.limit = jnp.zeros(()), jnp.ones(())
 

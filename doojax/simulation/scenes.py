@@ -290,8 +290,15 @@ def obstacles_at(scene: Scene, position: Float[Array, "B 3"], quaternion: Float[
 
     A body below z = -5 m counts as parked: its primitives are inactive.
     """
-    body = np.array([b for b, obstacle in enumerate(scene.obstacles) for _ in obstacle.shapes], dtype=int)
-    shapes = [shape for obstacle in scene.obstacles for shape in obstacle.shapes]
+    return primitives_at(scene.obstacles, position, quaternion)
+
+
+def primitives_at(
+    bodies: tuple[Obstacle, ...], position: Float[Array, "B 3"], quaternion: Float[Array, "B 4"]
+) -> Obstacles:
+    """`obstacles_at` of bodies that need not be a scene's."""
+    body = np.array([b for b, obstacle in enumerate(bodies) for _ in obstacle.shapes], dtype=int)
+    shapes = [shape for obstacle in bodies for shape in obstacle.shapes]
     offset = jnp.array([shape.offset for shape in shapes], dtype=jnp.float32).reshape(-1, 3)
     return Obstacles(
         kind=jnp.array([int(shape.kind) for shape in shapes], dtype=jnp.int32),

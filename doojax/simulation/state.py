@@ -21,7 +21,9 @@ class Fault(IntFlag):
     UNSTABLE = 2  # a joint moves faster than MAX_VELOCITY
     CONTACTS_DROPPED = 4  # MJX met more contacts than the scene's max_contact_points
     SCENE_OVERFULL = 8  # no room was found for an obstacle: it stays parked
-    PASSED_THROUGH = 16  # the axis of a link, or the centre of a gripper, went into an obstacle or through it
+    PASSED_THROUGH = 16  # what moves went into an obstacle or through it: a link's axis, a particle's centre
+    NEIGHBOURS_DROPPED = 32  # a particle of a fluid met more others than there is room for
+    STEP_TOO_LONG = 64  # a particle of a fluid was so fast that it could have passed a wall in one step
 
 
 class SimState(eqx.Module):

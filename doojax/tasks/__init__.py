@@ -12,3 +12,4 @@ from doojax.tasks.registry import make_task as make_task
 from doojax.tasks.registry import register as register
 from doojax.tasks.rope_dragging import RopeDragging as RopeDragging
 from doojax.tasks.toy import Toy as Toy
+from doojax.tasks.watering import Watering as Watering

@@ -6,7 +6,7 @@ when it is made: whoever plans, collects or judges with it need not name it.
 
 from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args, runtime_checkable
 
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from numpy import ndarray
 
 from doojax.actions import ActionSpace
@@ -85,6 +85,22 @@ class Task(Protocol):
 
     def reach(self) -> Float[ndarray, "K K"]:
         """How far apart (m) each two bodies can get; infinite where nothing holds them together."""
+        ...
+
+
+@runtime_checkable
+class Sampling(Protocol):
+    """What a task may have besides: samples of its own for searches, where no rope's would do."""
+
+    def sample(
+        self,
+        key: Array,
+        workspace: Box,
+        shape: Float[Array, "K 3"],
+        goal: Goal,
+        towards_goal: Bool[Array, ""],
+    ) -> Float[Array, "K 3"]:
+        """Places (m) of all bodies that a branch is to head for: a `doojax.planning.metric.Sampler`."""
         ...
 
 

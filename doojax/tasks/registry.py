@@ -20,6 +20,7 @@ from doojax.tasks.engine_bay import EngineBay
 from doojax.tasks.planar_pushing import PlanarPushing
 from doojax.tasks.rope_dragging import RopeDragging
 from doojax.tasks.toy import Toy
+from doojax.tasks.watering import Watering
 
 GROUP = "doojax.tasks"
 
@@ -32,6 +33,8 @@ TASKS: MappingProxyType[str, Factory] = MappingProxyType(
         "dual_gripper": DualGripper.of,
         "engine_bay": EngineBay.of,
         "planar_pushing": PlanarPushing.of,
+        "watering": Watering.of,
+        "watering_2d": Watering.flat,
         "toy": Toy.of,
     }
 )
@@ -82,8 +85,8 @@ def make_task(name: str, *, phase: Phase = "constrained", crowd: int = 1) -> Tas
     """The task called ``name``.
 
     Args:
-        name: rope_dragging, dual_gripper, engine_bay, planar_pushing, toy, or a task that a package or
-            `register` adds.
+        name: rope_dragging, dual_gripper, engine_bay, planar_pushing, watering, watering_2d, toy, or a task
+            that a package or `register` adds.
         phase: unconstrained (nothing in the way) or constrained (everything that can be).
         crowd: how many times as many obstacles as usual; walls and tables are not multiplied.
 

@@ -13,6 +13,7 @@ from doojax.viewer.arms import strip
 from doojax.viewer.episodes import require_rope
 from doojax.viewer.films import Film, film_of_prediction, film_of_trajectory, film_of_trial
 from doojax.viewer.pictures import animate, contact_sheet, frames
+from doojax.viewer.pouring import film_of_pouring, holds_pouring
 from doojax.viewer.recording import record
 
 ENDINGS = (".png", ".gif", ".mp4", ".viser", ".html")
@@ -39,6 +40,12 @@ def render(path: Path, /, *, out: Path, index: int | None = None) -> None:
     if out.suffix not in ENDINGS:
         raise ValueError(f"{out} ends in {out.suffix!r}, expected one of {', '.join(ENDINGS)}")
     dataset = Dataset.open(path) if not path.is_file() else None
+    if dataset is not None and holds_pouring(dataset):
+        film = film_of_pouring(dataset, chosen_pour(dataset, index))
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write(film, out)
+        Console(stderr=True, soft_wrap=True).print(f"drew {film.title}: {out}", highlight=False, markup=False)
+        return
     if dataset is not None:
         require_rope(dataset)
     if dataset is not None and out.suffix == ".png" and index is None:
@@ -67,6 +74,13 @@ def chosen_index(dataset: Dataset, index: int | None) -> int:
     if not 0 <= index < len(dataset):
         raise ValueError(f"there is no trajectory {index}: {dataset.path} holds 0 to {len(dataset) - 1}")
     return index
+
+
+def chosen_pour(dataset: Dataset, index: int | None) -> int:
+    """An index that exists, by default of the trajectory that pours most."""
+    if index is None:
+        return int(np.nanargmax(dataset["volumes"][: min(len(dataset), LOOKED_AT)][:, -1, 0]))
+    return chosen_index(dataset, index)
 
 
 def film_at(path: Path, index: int | None) -> Film:

@@ -17,7 +17,7 @@ BATCH, PERIODS = 8, 4
 PHASES = ("unconstrained", "constrained")
 
 
-@pytest.fixture(scope="module", params=sorted(set(TASKS) - {"planar_pushing"}))
+@pytest.fixture(scope="module", params=sorted(set(TASKS) - {"planar_pushing", "watering", "watering_2d"}))
 def task(request):
     return make_task(request.param)
 

@@ -11,7 +11,6 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from doojax.simulation.scenes import Scene
 from doojax.types import Obstacles
 
 GridKind = Literal["distance", "occupancy"]
@@ -28,9 +27,9 @@ class Look:
     floor: float | None = 0.0  # its height; None where there is none
 
     @classmethod
-    def of(cls, scene: Scene) -> "Look":
+    def of(cls, scene: Any) -> "Look":
         """The sizes of what is in a scene."""
-        hands = max(gripper.radius for gripper in scene.grippers)
+        hands = max((gripper.radius for gripper in scene.grippers), default=cls.gripper_radius)
         if scene.rope is None:
             return cls(scene.plane_height, gripper_radius=hands, floor=0.0 if scene.floor else None)
         half_link = scene.rope_part.parameters.length / scene.links / 2

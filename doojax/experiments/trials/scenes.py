@@ -27,7 +27,7 @@ from doojax.planning import Goal
 from doojax.reading import NumberKind, checked, read_arrays, require_arrays
 from doojax.simulation.state import Fault, SimState
 from doojax.tasks import make_task
-from doojax.tasks.base import Task, observed
+from doojax.tasks.base import Sampling, Task, observed
 from doojax.tasks.ropes import OWN, OtherRope, carrying, with_rope
 
 VERSION = 2  # raise it when scenes of the same seed become others
@@ -216,9 +216,13 @@ def draw_scenes(
         obstacles = jax.vmap(simulator.obstacles)(starts)
         goals = aim(goal_keys, obstacles)
         begin = np.asarray(observed(simulator, starts).bodies())[:, task.goal_point]
-        sizes = measured(obstacles, begin, np.asarray(goals.targets)[:, 0], task.workspace)
-        hard = held & (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > radius)
-        hard &= sizes["bottleneck"] <= widest
+        if not isinstance(task, Sampling):
+            sizes = measured(obstacles, begin, np.asarray(goals.targets)[:, 0], task.workspace)
+            hard = held & (sizes["straight_clearance"] < 0) & (sizes["bottleneck"] > radius)
+            hard &= sizes["bottleneck"] <= widest
+        else:  # a goal that is no place has no straight way: every scene counts
+            sizes = {"distance": np.linalg.norm(np.asarray(goals.targets)[:, 0] - begin, axis=-1)}
+            hard = held
         hard &= (np.asarray(starts.faults) & int(Fault.SCENE_OVERFULL)) == 0
         parts.append(jax.tree.map(lambda leaf, h=hard: np.asarray(leaf)[h], (starts, goals, sizes)))
         found, drawn = found + int(hard.sum()), drawn + DRAWN

@@ -39,9 +39,10 @@ from doojax.planning import (
     shortened,
 )
 from doojax.planning.memory import remembered
+from doojax.planning.metric import rope_sample
 from doojax.planning.recovery import recovery_action
 from doojax.simulation.state import SimState, Simulator
-from doojax.tasks.base import Task, observed
+from doojax.tasks.base import Sampling, Task, observed
 from doojax.types import Obstacles, State
 
 CRASHED = "crashed"
@@ -77,7 +78,8 @@ def run_trials(
     Returns:
         R records; their ``replay`` holds what `replay` needs, their ``about`` counts and seconds.
     """
-    planner = Rrt(method.dynamics, method.reliability, task, planning)
+    sampler = task.sample if isinstance(task, Sampling) else rope_sample
+    planner = Rrt(method.dynamics, method.reliability, task, planning, sampler)
     states, goals = trials.starts, trials.goals
     obstacles = jax.vmap(simulator.obstacles)(states)
     keys = numbered(stream(trials.seed, trials.purpose), np.asarray(trials.numbers, np.uint32))
