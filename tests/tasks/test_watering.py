@@ -33,7 +33,7 @@ COARSE = replace(
 
 
 MOVES = [
-    [[0.18, 0.0, 0.0], [0.12, -0.05, 0.0], [0.0, 0.0, 2.4], [0.0, 0.0, 2.4]],  # over the receiver, tilted
+    [[0.18, 0.0, 0.0], [0.14, 0.10, 0.0], [0.0, 0.0, 2.4], [0.0, 0.0, 2.4]],  # over the receiver, tilted
     [[0.18, -0.1, 0.0], [0.30, -0.20, 0.0], [0.0, 0.6, 0.0], [0.0, 0.0, 0.0]],  # into it, into the canopy
 ]
 
@@ -78,7 +78,7 @@ def test_the_container_gets_where_it_is_sent_and_pours(poured):
     place = np.asarray(seen.states.container)
     moved = place - place[0]
     np.testing.assert_allclose(moved[1, ::2], [0.18, 0.0], atol=2e-3)
-    np.testing.assert_allclose(moved[2:, ::2], np.tile([0.30, -0.05], (3, 1)), atol=2e-3)
+    np.testing.assert_allclose(moved[2:, ::2], np.tile([0.32, 0.10], (3, 1)), atol=2e-3)
     np.testing.assert_allclose(seen.states.angle, [0, 0, 0, 2.4, 2.4], atol=0.01)
     volumes = np.asarray(seen.states.volumes)
     assert volumes[2, 1] > 0.95 and volumes[2, 0] == 0  # carried, nothing is spilled
@@ -106,7 +106,7 @@ def test_the_gap_is_that_of_boxes_side_by_side(task):
     simulator = task.simulator()
     obstacles = simulator.obstacles(simulator.reset(stream(2, "test")))
     width = NARROW.width / 2 + NARROW.wall
-    beside = jnp.array([STEM[0][0] - width - 0.03, 0.3, 0.0])
+    beside = jnp.array([STEM[0][0] - width - 0.03, 0.22, 0.0])
     assert float(simulator.gap(obstacles, beside)) == pytest.approx(0.03, abs=1e-5)
     on_top = jnp.array([CANOPY[0][0] + 0.1, CANOPY[1][2] + NARROW.wall + 0.04, 0.0])
     assert float(simulator.gap(obstacles, on_top)) == pytest.approx(0.04, abs=1e-5)
