@@ -205,9 +205,7 @@ def _adapted(
         run = RunDirectory.open(out / f"seed{number}" / method, about)
         options: dict[str, Any] = {"seed": seed + number, "capacity": capacity, "run": run, "report": report}
         models[method] = adapt(source, data, gamma, config, **options).dynamics
-        alone = Ensemble(
-            jax.tree.map(lambda leaf: leaf[None] if eqx.is_array(leaf) else leaf, models[method])
-        )
+        alone = Ensemble(members_of(models[method]))
         saw = seen_data([open_dataset(out / name) for name in ("source", "target")])
         config_of = {**asdict(source.config), "members": 1}
         run.finish(Header("dynamics", task, config_of, {"threshold_m": gamma, SAW: saw}), alone)
