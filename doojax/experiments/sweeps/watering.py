@@ -34,6 +34,7 @@ from doojax.learning.adaptation import (
     AdaptationConfig,
     AdaptationMethod,
     adapt,
+    members_of,
     similarity_threshold,
 )
 from doojax.learning.checkpoints import Header
@@ -129,7 +130,7 @@ def watering_study(
             f"{settings.tested}: collect more test_trajectories"
         )
     chosen = np.flatnonzero(alike)[: settings.tested]
-    found: list[dict[str, Float[np.ndarray, n]]] = []
+    found: list[dict[str, np.ndarray]] = []
     gammas: list[float] = []
     with training_progress(console, "adaptation") as report:
         for number in range(seeds):
