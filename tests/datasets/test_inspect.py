@@ -64,6 +64,8 @@ def test_summary_counts_faults_clearance_and_stretch(tmp_path):
         "trajectories with CONTACTS_DROPPED": (2, 23),
         "trajectories with SCENE_OVERFULL": (0, 23),
         "trajectories with PASSED_THROUGH": (0, 23),
+        "trajectories with NEIGHBOURS_DROPPED": (0, 23),
+        "trajectories with STEP_TOO_LONG": (0, 23),
         "states within 1 mm of an obstacle": (6, 23 * 7),
         "trajectories within 1 mm of an obstacle": (2, 23),
         "states more than 2 mm inside an obstacle": (4, 23 * 7),
