@@ -86,9 +86,17 @@ COMMANDS: Commands = {
         "doojax.experiments.training.predict:predict",
         "record what a model predicts along stored trajectories, to look at where it is wrong",
     ),
+    "sweep": (
+        "doojax.experiments.sweeps.command:sweep",
+        "run a command for every value of what a spec varies, and gather the figures",
+    ),
     "sweep-threshold": (
         "doojax.experiments.sweeps.threshold:sweep_threshold",
         "train classifiers for several thresholds and seeds at once, and measure them",
+    ),
+    "import": (
+        "doojax.datasets.imports:import_trajectories",
+        "make a data set of trajectories that were recorded elsewhere",
     ),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
     "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),
@@ -121,10 +129,27 @@ COMMANDS: Commands = {
 }
 
 
+def first_name(words: Sequence[str], commands: Commands) -> tuple[str, list[str]]:
+    """The command that words begin with, of two words if there is one of both, and what follows it.
+
+    It need not be one of ``commands``; "" where there are no words.
+    """
+    for length in (2, 1):
+        if (name := " ".join(words[:length])) in commands:
+            return name, list(words[length:])
+    return "".join(words[:1]), list(words[1:])
+
+
 def load(target: str) -> Callable[..., Any]:
     """The function that "module:function" names."""
     module, _, function = target.partition(":")
     return getattr(importlib.import_module(module), function)
+
+
+def call(function: Callable[..., Any], arguments: Mapping[str, Any]) -> Any:
+    """A command's function with all its arguments by name, as `parsed` gives them."""
+    bound = inspect.BoundArguments(inspect.signature(function), dict(arguments))  # type: ignore[arg-type]
+    return function(*bound.args, **bound.kwargs)
 
 
 def names_of(function: Callable[..., Any], commands: Commands = COMMANDS) -> tuple[str, ...]:
@@ -138,7 +163,7 @@ def names_of(function: Callable[..., Any], commands: Commands = COMMANDS) -> tup
     def found(table: Commands, names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
         for name, (target, _) in table.items():
             if target == wanted:
-                yield (*names, name)
+                yield (*names, *name.split())
             elif not isinstance(target, str):
                 yield from found(target, (*names, name))
 
@@ -204,9 +229,10 @@ def _parsed(words: Sequence[str]) -> tuple[Callable[..., Any], dict[str, Any]]:
     target: str | Commands = COMMANDS
     rest = list(words[1:])
     while not isinstance(target, str):
-        if not rest or rest[0] not in target:
+        name, rest = first_name(rest, target)
+        if name not in target:
             raise ValueError(f"{shlex.join(words)!r} names no command of: {', '.join(target)}")
-        target = target[rest.pop(0)][0]
+        target = target[name][0]
     function = load(target)
 
     @functools.wraps(function)

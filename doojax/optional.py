@@ -15,6 +15,7 @@ EXTRAS = {  # module -> extra of doojax
     "torch": "bench",
     "viser": "view",
     "warp": "warp",
+    "yaml": "sweep",
 }
 
 

@@ -144,7 +144,7 @@ def test_bad_input_gives_one_line_and_traceback_the_error_itself(with_command, c
 
 def test_every_extra_that_is_named_exists_and_brings_the_package():
     project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
-    called = {"PIL": "pillow"}
+    called = {"PIL": "pillow", "yaml": "pyyaml"}
     for module, extra in EXTRAS.items():
         packages = " ".join(project["optional-dependencies"][extra])
         name = called.get(module, module.replace("_", "-"))

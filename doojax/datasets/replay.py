@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from rich.console import Console
 from rich.table import Table
 
+from doojax.datasets.progress import announce
 from doojax.datasets.store import Dataset
 from doojax.files import whole_file
 from doojax.reading import NumberKind, checked, read_arrays, require_arrays
@@ -88,6 +89,7 @@ def replay(path: Path, /, *, trajectory: int = 0, engine: str = "auto") -> None:
         name, made_with, state, actions, points, faults = _from_failures(path, trajectory)
         task = make_task(name)
     engine = resolve_engine(made_with if engine == "auto" else engine)
+    announce(f"simulating trajectory {trajectory} of {task.name} on {engine}; mjx compiles first")
     simulator = task.simulator(engine)
     batch = jax.tree.map(lambda leaf: leaf[None], (state, actions))
     _, again = simulator.rollout(*batch)

@@ -166,12 +166,12 @@ def _is_within(part: Float[np.ndarray, "F 3 3"], other: Float[np.ndarray, "H 3 3
     points = np.unique(part.reshape(-1, 3), axis=0)
     step = max(1, _PAIRS_AT_ONCE // len(other))
     return all(
-        (np.abs(_winding(points[start : start + step], other)) > 0.25).all()  # 0.5 on a face
+        (np.abs(winding(points[start : start + step], other)) > 0.25).all()  # 0.5 on a face
         for start in range(0, len(points), step)
     )
 
 
-def _winding(
+def winding(
     points: Float[np.ndarray, "P 3"], triangles: Float[np.ndarray, "F 3 3"]
 ) -> Float[np.ndarray, "P"]:
     """How often closed faces enclose each point (van Oosterom and Strackee, 1983)."""

@@ -46,6 +46,48 @@ class RopeParameters:
             if not (value > 0 if positive else value >= 0):
                 raise ValueError(f"rope {name} is {value}, expected {'> 0' if positive else '>= 0'}")
 
+    @classmethod
+    def of_material(
+        cls,
+        *,
+        length: float,
+        radius: float,
+        mass: float,
+        youngs_modulus: float,
+        bore: float = 0.0,
+        poisson: float = 0.5,
+        bending_damping: float = 0.0,
+        friction: float = 0.1,
+    ) -> "RopeParameters":
+        """A round rod or hose of one elastic material, as data sheets describe it.
+
+        EI = E pi (radius^4 - bore^4) / 4 and GJ = EI / (1 + poisson), as of a solid of revolution. What is
+        braided, filled or reinforced bends otherwise: measure its EI, and give that.
+
+        Args:
+            length: end to end, m.
+            radius: outer, m.
+            mass: of the whole, with what fills it, kg.
+            youngs_modulus: E, Pa; of rubber 1e6 to 1e7.
+            bore: inner radius of a hose, m.
+            poisson: Poisson's ratio of the material; a half for rubber.
+            bending_damping: moment per rate of curvature, N m^2 s; data sheets do not have it, and where a
+                rope needs some to be stable the error says how much.
+            friction: Coulomb's coefficient against floor and obstacles.
+
+        Raises:
+            ValueError: for values without a physical meaning.
+        """
+        if not 0 <= bore < radius:
+            raise ValueError(f"rope bore is {bore}, expected at least 0 and less than the radius of {radius}")
+        if not youngs_modulus >= 0 or not -1 < poisson <= 0.5:
+            raise ValueError(
+                f"youngs_modulus is {youngs_modulus} and poisson {poisson}, expected at least 0 (Pa), and "
+                "more than -1 and at most 0.5"
+            )
+        bending = youngs_modulus * math.pi * (radius**4 - bore**4) / 4
+        return cls(length, radius, mass, bending, bending / (1 + poisson), bending_damping, friction)
+
 
 @dataclass(frozen=True)
 class RopeModel:

@@ -43,6 +43,11 @@ class Shape:
     wall: bool = False  # a box of which only the +x face can be reached: simulated as that face's plane
 
 
+def sphere(radius: float, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:
+    """A ball (m): a capsule without a straight part."""
+    return Shape(ShapeKind.CAPSULE, (radius, radius, 0.0), offset)
+
+
 @dataclass(frozen=True)
 class Obstacle:
     """A rigid body that is placed by data: moving it compiles nothing."""
@@ -50,6 +55,16 @@ class Obstacle:
     name: str
     shapes: tuple[Shape, ...]
     friction: float = 0.0  # the rope's friction counts where it is larger
+
+    @property
+    def height(self) -> float:
+        """How far its origin is above its lowest point when it stands upright, m."""
+        return max(
+            shape.half_size[2]
+            + (shape.half_size[0] if shape.kind == ShapeKind.CAPSULE else 0.0)
+            - shape.offset[2]
+            for shape in self.shapes
+        )
 
 
 @dataclass(frozen=True)

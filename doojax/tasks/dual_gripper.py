@@ -106,12 +106,11 @@ class DualGripper(RopeTask):
         from doojax.tasks.starts import RandomStart
 
         check_phase(self.phase)
-        crowd = (len(self.scene.obstacles) - 1) // (len(BOXES) + 2)
         return RandomStart(
             self._bank,
             scene=self.scene,
             place_rope=partial(_place_rope, REACH[self.phase]),
-            placements=_placements(crowd) if self.phase == "constrained" else None,
+            placements=_placements(self.scene) if self.phase == "constrained" else None,
         )
 
     def simulator(self, engine: str = "auto"):
@@ -142,15 +141,14 @@ def _place_rope(reach: Box, key: Array, points: Float[Array, "P 3"]) -> tuple[Ar
     return placed_within(reach, TABLE_TOP + 2 * RADIUS, key, points)
 
 
-def _placements(crowd: int):
-    """The table where it stands, boxes and hooks anywhere on it at any yaw."""
-    from doojax.tasks.starts import Placements
+def _placements(scene: Scene):
+    """What is called table where it stands, all else anywhere on it at any yaw."""
+    from doojax.tasks.starts import Place, placements_of
 
-    heights = ([size[2] for size in BOXES] + [0.18, 0.28]) * crowd
-    table = (0.8, 0.0, TABLE_TOP - 0.06)
-    above = [TABLE_TOP + height / 2 for height in heights]
-    return Placements(
-        low=jnp.array([table, *((0.6, -0.45, z) for z in above)]),
-        high=jnp.array([table, *((1.0, 0.45, z) for z in above)]),
-        yaw=jnp.array([(0.0, 0.0), *[(-jnp.pi, jnp.pi)] * len(heights)]),
+    table = Place((0.8, 0.0, TABLE_TOP - 0.06))
+    above = [
+        Place((0.8, 0.0, TABLE_TOP + one.height), (0.2, 0.45), (-np.pi, np.pi)) for one in scene.obstacles
+    ]
+    return placements_of(
+        scene, [table if one.name == "table" else at for one, at in zip(scene.obstacles, above, strict=True)]
     )

@@ -108,12 +108,11 @@ class RopeDragging(RopeTask):
 
         check_phase(self.phase)
         constrained = self.phase == "constrained"
-        crowd = (len(self.scene.obstacles) - WALLS) // (CUBES + CORNERS)
         return RandomStart(
             self._bank,
             scene=self.scene,
             place_rope=partial(_place_rope, 0.8 if constrained else 1.0),
-            placements=_placements(crowd) if constrained else None,
+            placements=_placements(self.scene) if constrained else None,
         )
 
     def simulator(self, engine: str = "auto"):
@@ -150,15 +149,17 @@ def _place_rope(extent: float, key: Array, points: Float[Array, "P 3"]) -> tuple
     return jnp.append(position - turned, 0.0), yaw
 
 
-def _placements(crowd: int):
-    """Cubes and corners anywhere on the floor at any yaw; walls where they stand."""
-    from doojax.tasks.starts import Placements
+def _placements(scene: Scene):
+    """Walls where they stand, all else anywhere on the floor at any yaw."""
+    from doojax.tasks.starts import Place, placements_of
 
-    heights = [CUBE] * (CUBES * crowd) + [CORNER_HEIGHT] * (CORNERS * crowd)
-    angles = np.array([0.0, np.pi / 2, np.pi, 3 * np.pi / 2])
-    walls = [(ARENA * np.cos(angle), ARENA * np.sin(angle), WALL_HEIGHT) for angle in angles]
-    return Placements(
-        low=jnp.array([*((-0.8, -0.8, height) for height in heights), *walls]),
-        high=jnp.array([*((0.8, 0.8, height) for height in heights), *walls]),
-        yaw=jnp.array([*[(-np.pi, np.pi)] * len(heights), *((a + np.pi, a + np.pi) for a in angles)]),
-    )
+    angles, places = iter(np.pi / 2 * np.arange(WALLS)), []
+    for obstacle in scene.obstacles:
+        if not any(shape.wall for shape in obstacle.shapes):
+            places.append(Place((0.0, 0.0, obstacle.height), (0.8, 0.8), (-np.pi, np.pi)))
+        elif (angle := next(angles, None)) is not None:
+            at = (ARENA * np.cos(angle), ARENA * np.sin(angle), WALL_HEIGHT)
+            places.append(Place(at, yaw=(angle + np.pi, angle + np.pi)))
+        else:
+            raise ValueError(f"obstacle {obstacle.name!r} is a wall too many: expected at most {WALLS}")
+    return placements_of(scene, places)

@@ -4,8 +4,8 @@ A bank of settled rope shapes is simulated once per task; a start is one of them
 obstacles drawn around it. Drawing it runs no physics, so it can be jitted and vmapped by thousands.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
@@ -46,6 +46,39 @@ class Placements(eqx.Module):
         place = jax.random.uniform(position_key, (2,), minval=self.low[:2], maxval=self.high[:2])
         yaw = jax.random.uniform(yaw_key, minval=self.yaw[0], maxval=self.yaw[1])
         return jnp.append(place, self.low[2]), quaternion_from_yaw(yaw)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an obstacle stands: at a place, or anywhere near it."""
+
+    position: tuple[float, float, float]  # of its origin, world frame, m
+    spread: tuple[float, float] = (0.0, 0.0)  # m: drawn uniformly from so far to either side, along x and y
+    yaw: tuple[float, float] = (0.0, 0.0)  # rad: drawn uniformly between these turns about z
+
+    @property
+    def fixed(self) -> bool:
+        """Does it always stand alike?"""
+        return self.spread == (0.0, 0.0) and self.yaw[0] == self.yaw[1]
+
+
+def placements_of(scene: Scene, places: Sequence[Place]) -> Placements | None:
+    """Where each obstacle of a scene may stand; None where there are none.
+
+    Raises:
+        ValueError: for another number of places than of obstacles.
+    """
+    if len(places) != len(scene.obstacles):
+        names = ", ".join(obstacle.name for obstacle in scene.obstacles) or "none"
+        raise ValueError(
+            f"there are {len(places)} places for {len(scene.obstacles)} obstacles ({names}): expected as many"
+        )
+    if not places:
+        return None
+    middle = np.array([place.position for place in places])
+    spread = np.array([(*place.spread, 0.0) for place in places])
+    yaw = np.array([place.yaw for place in places])
+    return Placements(*(jnp.asarray(one, jnp.float32) for one in (middle - spread, middle + spread, yaw)))
 
 
 class RopeBank(eqx.Module):
@@ -198,7 +231,8 @@ def hung_bank(scene: Scene, gap: Float[np.ndarray, "K"], tilt: Float[np.ndarray,
     step = (target - start)[:, None] / moves
     still = np.zeros((len(gap), SETTLE_PERIODS, 2, 3))
     actions = np.concatenate([np.repeat(step, moves, 1), still], axis=1)
-    return settle_bank(scene, np.tile(straight_qpos(scene, 1.0), (len(gap), 1)), actions)
+    height = max(1.0, 0.75 * length)  # above the floor, if there is one
+    return settle_bank(scene, np.tile(straight_qpos(scene, height), (len(gap), 1)), actions)
 
 
 def placed_within(

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from doojax.datasets import Dataset
 from doojax.experiments.trials.records import Look, PredictionRecord, TrialRecord
-from doojax.tasks import TASKS, make_task
+from doojax.tasks import make_task
 from doojax.types import Obstacles, ShapeKind
 from doojax.viewer import shapes
 
@@ -63,9 +63,10 @@ class Episode:
 
 def look_of(config: Mapping[str, Any]) -> tuple[Look, float]:
     """The sizes in a data set's scene and its control period (s), from the task that its config names."""
-    if config.get("task") not in TASKS:
+    try:
+        scene = make_task(config.get("task", "")).scene
+    except ValueError:  # a task of a package that is not installed here, or none at all
         return UNKNOWN_LOOK, 1.0
-    scene = make_task(config["task"]).scene
     return Look.of(scene), scene.control_period
 
 

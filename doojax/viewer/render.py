@@ -7,6 +7,7 @@ from PIL import Image
 from rich.console import Console
 
 from doojax.datasets import Dataset
+from doojax.datasets.progress import announce
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.records import TrialRecord
 from doojax.viewer.arms import strip
@@ -48,6 +49,7 @@ def render(path: Path, /, *, out: Path, index: int | None = None) -> None:
         return
     if dataset is not None:
         require_rope(dataset)
+    announce(f"drawing {path}")
     if dataset is not None and out.suffix == ".png" and index is None:
         chosen = most_moving(dataset, ON_SHEET)
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from doojax.commands import command_line
+from doojax.datasets.progress import announce
 from doojax.experiments.reports.provenance import digests
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.statistics import bootstrap
@@ -73,6 +74,7 @@ def evaluate_model(
     else:
         loaded, header = load_model(Path(model), task=task)
     tags = {"task": task, "model": header.kind, "preset": header.about.get("preset", "none")}
+    announce(f"measuring {model} on the test split of {data}")
     test = load_split(dataset, "test")
     if header.kind in ("dynamics", "full_dynamics"):
         picture = out / f"{task}_{header.kind}_{phase}.png"

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from doojax.commands import command_line
+from doojax.datasets.progress import announce
 from doojax.experiments.reports.provenance import digests
 from doojax.experiments.trials.evaluate import with_other_rope
 from doojax.experiments.trials.methods import find_models, make_method, needed_models, pretrained_models
@@ -104,6 +105,7 @@ def plan(
     seen = jax.tree.map(lambda leaf: leaf[0], simulator.observations(batch[0]).state)
     check_problem(the_task, Problem(simulator.obstacles(start), seen, aim, stream(seed, "plan")))
 
+    announce(f"planning in {task} with {method}: a minute or so, most of it compiling the first time")
     chosen = make_method(method, the_task, simulator, found, accept, margin)
     trials = Trials(*batch, [scene or 0], seed)
     (record,) = run_trials(

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from doojax.datasets.collect import random_trajectories
+from doojax.datasets.progress import announce
 from doojax.experiments.reports.statistics import bootstrap
 from doojax.experiments.trials.difficulty import difficulty as measured
 from doojax.experiments.trials.records import Look
@@ -130,6 +131,7 @@ def scenes(
     if fixed and not hasattr(the_task, "starts"):
         raise ValueError(f"{task} has no fixed start: leave --fixed out")
     the_task = replace(the_task, starts="fixed") if fixed else the_task
+    announce(f"drawing {count} {difficulty} scenes of {task}: a minute or so")
     drawn = draw_scenes(with_rope(the_task, rope), count, seed, difficulty, caught=caught)
     drawn = replace(drawn, starts=carrying(the_task, drawn.starts, rope), rope=rope)
     save_scenes(out, drawn)

@@ -64,6 +64,8 @@ def _geom_of(shape: Shape) -> tuple["mujoco.mjtGeom", list[float], list[float]]:
     if shape.wall:
         face = [shape.offset[0] + x, shape.offset[1], shape.offset[2]]
         return mujoco.mjtGeom.mjGEOM_PLANE, [z, y, 0.1], face
+    if shape.kind == ShapeKind.CAPSULE and z == 0:
+        return mujoco.mjtGeom.mjGEOM_SPHERE, [x, 0.0, 0.0], list(shape.offset)
     kinds = {
         ShapeKind.BOX: (mujoco.mjtGeom.mjGEOM_BOX, [x, y, z]),
         ShapeKind.CAPSULE: (mujoco.mjtGeom.mjGEOM_CAPSULE, [x, z, 0.0]),

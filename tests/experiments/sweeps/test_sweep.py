@@ -1,0 +1,225 @@
+"""Sweeps: which cells there are, and that none is lost where workers or the driver are killed."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from doojax.experiments.sweeps.command import rows_of, start_worker, supervise, sweep
+from doojax.experiments.sweeps.spec import Cell, Spec, cells_of, read_spec
+from doojax.experiments.sweeps.worker import CELLS, DONE, FAILED, FOLDER, MOST_BEGUN, work
+
+# A command that is done in an instant, notes who did it, and on demand is the end of its worker.
+NAP = """
+import os, signal, time
+from pathlib import Path
+def nap(name: str, /, *, out: Path, seconds: float = 0.05, deadly: bool = False) -> None:
+    '''Sleep.'''
+    out.mkdir(parents=True, exist_ok=True)
+    with (out / "who").open("a") as file:
+        file.write(f"{os.getpid()}\\n")
+    if deadly:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name == "bad":
+        raise ValueError("a bad name")
+    time.sleep(seconds)
+"""
+PATCHED = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {folder!r})
+import doojax.commands
+doojax.commands.COMMANDS = {{"nap": ("nap:nap", "sleep")}}
+"""
+WORK = PATCHED + "from doojax.experiments.sweeps.worker import work\nwork(Path(sys.argv[1]))"
+DRIVE = (
+    PATCHED
+    + """
+import subprocess
+from doojax.experiments.sweeps import command
+command.WORKER = (sys.executable, "-c", {work!r})
+command.sweep(Path(sys.argv[1]), out=Path(sys.argv[2]), workers=2)
+"""
+)
+
+
+@pytest.fixture
+def napping(tmp_path, monkeypatch):
+    """How a worker is started that knows the command, in a folder of its own."""
+    (tmp_path / "nap.py").write_text(NAP)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("doojax.commands.COMMANDS", {"nap": ("nap:nap", "sleep")})
+    code = WORK.format(folder=str(tmp_path))
+    return lambda out: subprocess.Popen([sys.executable, "-c", code, str(out)])
+
+
+def prepared(out: Path, count: int, options: str = "") -> list[Cell]:
+    """Cells of naps, written down for workers."""
+    cells = cells_of(Spec(f"doojax nap {{who}} --out {{out}} {options}", {"who": [*range(count)]}))
+    out.mkdir(exist_ok=True)
+    (out / CELLS).write_text(json.dumps({c.name: c.command(out / FOLDER / c.name) for c in cells}))
+    return cells
+
+
+def times_begun(out: Path, cells: list[Cell]) -> list[int]:
+    return [len((out / FOLDER / cell.name / "out/who").read_text().splitlines()) for cell in cells]
+
+
+def survives_a_killed_worker(out: Path, start, count: int) -> None:
+    cells, workers, killed = prepared(out, count), [], []
+
+    def started(folder):
+        workers.append(start(folder))
+        return workers[-1]
+
+    def report(done, failed):
+        if done >= 2 and not killed:
+            killed.append(workers[0])
+            workers[0].kill()
+
+    try:
+        supervise(out, cells, 2, report, started)
+    finally:
+        for worker in workers:
+            worker.kill()
+            worker.wait()
+    assert killed and all((out / FOLDER / cell.name / DONE).exists() for cell in cells)
+    assert len(rows_of(out, cells)) == count
+    assert sum(times_begun(out, cells)) <= count + 1  # but for the one that was killed, each once
+
+
+def test_a_killed_worker_loses_nothing(napping, tmp_path):
+    survives_a_killed_worker(tmp_path / "out", napping, 10)
+
+
+@pytest.mark.slow
+def test_a_hundred_cells_survive_a_killed_worker(napping, tmp_path):
+    survives_a_killed_worker(tmp_path / "out", napping, 100)
+
+
+def test_a_killed_driver_goes_on_where_it_was(napping, tmp_path):
+    out, spec = tmp_path / "out", tmp_path / "spec.yaml"
+    spec.write_text("command: doojax nap {who} --out {out}\ngrid: {who: [0, 1, 2, 3, 4, 5, 6, 7]}\n")
+    code = DRIVE.format(folder=str(tmp_path), work=WORK.format(folder=str(tmp_path)))
+    command = [sys.executable, "-c", code, str(spec), str(out)]
+    first = subprocess.Popen(command, start_new_session=True)
+    try:
+        deadline = time.monotonic() + 60
+        while len(list(out.glob(f"{FOLDER}/*/{DONE}"))) < 2 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        first.kill()  # its workers go on
+        first.wait()
+        second = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    finally:
+        with contextlib.suppress(ProcessLookupError):  # all have ended
+            os.killpg(first.pid, signal.SIGKILL)
+    assert second.returncode == 0, second.stderr
+    cells = cells_of(read_spec(spec))
+    assert times_begun(out, cells) == [1] * 8
+    lines = (out / "sweep.csv").read_text().splitlines()
+    assert lines[0].startswith("cell,who,metric") and len(lines) == 9
+
+
+def test_a_cell_that_fails_is_said_and_one_that_kills_its_workers_is_given_up(napping, tmp_path):
+    out = tmp_path / "out"
+    cells = prepared(out, 1, "--deadly")
+    started = []
+
+    def start(folder):
+        started.append(napping(folder))
+        return started[-1]
+
+    supervise(out, cells, 1, lambda done, failed: None, start)
+    assert len(started) == MOST_BEGUN + 1
+    failed = json.loads((out / FOLDER / cells[0].name / FAILED).read_text())
+    assert failed["error"] == f"its worker died {MOST_BEGUN} times"
+    spec = tmp_path / "spec.yaml"
+    spec.write_text("command: doojax nap {who} --out {out}\ngrid: {who: [good, bad]}\n")
+    (tmp_path / "two").mkdir()
+    with pytest.raises(ValueError, match=r"1 of 2 cells failed, such as .*: ValueError: a bad name"):
+        command_in_this_process(spec, tmp_path / "two")
+    assert (
+        "Traceback" in next((tmp_path / "two" / FOLDER).glob(f"*/{FAILED}")).with_name("log.txt").read_text()
+    )
+
+
+def command_in_this_process(spec: Path, out: Path) -> None:
+    """`doojax sweep` whose only worker is this process."""
+    cells = cells_of(read_spec(spec))
+    (out / CELLS).write_text(json.dumps({c.name: c.command(out / FOLDER / c.name) for c in cells}))
+    work(out)
+    kept = (out / FOLDER / cell.name / FAILED for cell in cells)
+    saved = {path: path.read_text() for path in kept if path.exists()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "doojax.experiments.sweeps.command.supervise",
+            lambda *_: [p.write_text(t) for p, t in saved.items()],
+        )
+        sweep(spec, out=out, workers=1)
+
+
+def test_cells_are_all_fillings_and_keep_their_names_when_there_are_more():
+    few = cells_of(Spec("doojax scenes {task} --seed {seed} --out {out}", {"task": ["toy"]}, seeds=2))
+    more = cells_of(Spec("doojax scenes {task} --seed {seed} --out {out}", {"task": ["toy", "x"]}, seeds=3))
+    assert len(few) == 2 and len(more) == 6
+    assert {cell.name for cell in few} < {cell.name for cell in more}
+    assert few[0].command(Path("/a")) == "doojax scenes toy --seed 0 --out /a/out"
+    drawn = cells_of(
+        Spec("doojax plan toy --planning.goal-bias {bias}", random={"bias": [0.1, 0.4]}, draws=5)
+    )
+    values = [cell.values["bias"] for cell in drawn]
+    assert len(set(values)) == 5 and all(0.1 <= value <= 0.4 for value in values)
+    assert values[:3] == [
+        cell.values["bias"]
+        for cell in cells_of(
+            Spec("doojax plan toy --planning.goal-bias {bias}", random={"bias": [0.1, 0.4]}, draws=3)
+        )
+    ]
+
+
+def test_a_cells_name_depends_on_the_files_that_it_reads(tmp_path):
+    spec = Spec(f"doojax evaluate toy --methods oracle --scenes {tmp_path}/a.scenes --out {{out}}")
+    (tmp_path / "a.scenes").write_text("one")
+    (first,) = cells_of(spec)
+    (tmp_path / "a.scenes").write_text("two")
+    (second,) = cells_of(spec)
+    assert first.name != second.name and first.line == second.line
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        (Spec("doojax scenes {task}"), r"holes \['task'\], and there are values for \[\]"),
+        (Spec("doojax scenes toy", {"task": ["toy"]}), r"values for \['task'\]"),
+        (Spec("doojax scnes toy"), "names no command"),
+        (Spec("doojax scenes toy --cuont 2"), "cuont"),
+        (Spec("doojax plan toy --seed {s}", random={"s": [2.0, 1.0]}), "expected the least and the greatest"),
+        (Spec("doojax scenes {task}", {"task": []}), "values for each name"),
+    ],
+)
+def test_a_spec_that_makes_no_sense_is_refused_before_anything_runs(spec, message):
+    with pytest.raises(ValueError, match=message):
+        cells_of(spec)
+
+
+def test_a_file_that_is_no_spec_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="there is no spec"):
+        read_spec(tmp_path / "none.yaml")
+    (tmp_path / "spec.yaml").write_text("command: 3\n")
+    with pytest.raises(ValueError, match="is not the spec of a sweep"):
+        read_spec(tmp_path / "spec.yaml")
+    (tmp_path / "spec.yaml").write_text("command: [")
+    with pytest.raises(ValueError, match="is not the spec of a sweep"):
+        read_spec(tmp_path / "spec.yaml")
+
+
+def test_a_worker_is_this_pythons(tmp_path):
+    (tmp_path / CELLS).write_text("{}")
+    worker = start_worker(tmp_path)
+    assert worker.wait(60) == 0
