@@ -1,54 +1,69 @@
-"""Takes the pictures in results/viewer: python docs/figures/viewer.py DATA TRIAL RUN
+"""Takes the pictures in results/viewer: python docs/figures/viewer.py DATA PREDICTION TRIAL EVALUATION RUNS
 
-DATA: a data set, as doojax collect writes. TRIAL: a record of doojax plan. RUN: of doojax train. What a model
-predicts is made up, and so is the folder that cannot be shown.
+DATA: a data set, as doojax collect writes. PREDICTION: of doojax predict. TRIAL: a record of doojax plan.
+EVALUATION: of doojax evaluate. RUNS: a folder of runs of doojax train. What cannot be shown is made up.
 """
 
 import sys
 import tempfile
 from pathlib import Path
 
-from doojax.experiments.trials.record_files import save_record
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
-from doojax.viewer.examples import prediction_record
 from doojax.viewer.page import start_server
 
 OUT = Path("results/viewer")
 WAIT = 2500  # ms until software has drawn all
+SIZES = {"": (1280, 800), "_small": (390, 844)}
 
 
-def main(data: Path, trial: Path, run: Path) -> None:
-    """One picture a kind of content, 1280 x 800 pixels."""
+def main(data: Path, prediction: Path, trial: Path, evaluation: Path, runs: Path) -> None:
+    """Two pictures a kind of content, of a usual and of a small screen."""
     OUT.mkdir(parents=True, exist_ok=True)
     server = start_server("127.0.0.1", 0)
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as temporary, open_browser() as browser:
-        folder = Path(temporary).relative_to(Path.cwd())
-        predicted, broken = folder / "prediction.npz", folder / "photographs"
-        save_record(predicted, prediction_record(seed=3))
+        broken = Path(temporary).relative_to(Path.cwd()) / "photographs"
         broken.mkdir()
         (broken / "rope.jpg").write_bytes(b"")
         app = App(server, data)
-        page = open_page(browser, server.get_port())
-        for name, path, moment in (
-            ("data", data, 30.0),
-            ("prediction", predicted, 9.0),
-            ("search", trial, 0.0),
-            ("trial", trial, 10.0),
-            ("training", run, None),
-            ("message", broken, None),
+        pages = {
+            name: open_page(browser, server.get_port(), width=width, height=height)
+            for name, (width, height) in SIZES.items()
+        }
+        for name, path, keys, tab in (
+            ("data", data, "LLLLLLLL", ""),
+            ("prediction", prediction, "N", ""),
+            ("search", trial, "", "Search"),
+            ("trial", trial, "NN", ""),
+            ("through", trial, "N", "View"),
+            ("trials", evaluation, "", ""),
+            ("failed", evaluation, "NNN", ""),
+            ("training", runs, "", ""),
+            ("message", broken, "", ""),
         ):
             app.close()
             app = App(server, path)
-            page.wait_for_timeout(WAIT)
-            if moment is not None:
-                app._content.player.go_to(moment)
-                server.flush()
-                page.wait_for_timeout(WAIT)
-            page.screenshot(path=OUT / f"{name}.png")
+            pages[""].wait_for_timeout(WAIT)
+            if name == "failed":
+                app.go(next(iter(server.get_clients().values())), first_failed(app))
+            for key in keys:
+                pages[""].keyboard.press(key)
+                pages[""].wait_for_timeout(100)
+            for page in pages.values():
+                if tab and (found := page.get_by_role("tab", name=tab)).count():
+                    found.click()
+            pages[""].wait_for_timeout(WAIT)
+            for size, page in pages.items():
+                page.screenshot(path=OUT / f"{name}{size}.png")
         app.close()
     server.stop()
 
 
+def first_failed(app: App) -> dict[str, str]:
+    """Where the address of the first failed trial leads."""
+    row = next(row for row in app._content._rows if not row.line.reached)
+    return {"method": row.method, "scene": str(row.line.trial)}
+
+
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:4]))
+    main(*map(Path, sys.argv[1:6]))

@@ -1,20 +1,26 @@
 """`doojax view`: a page on data sets, training runs, predictions and trials."""
 
 import ipaddress
+import os
+import socket
 import threading
 import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import tyro
+import viser
 from rich.console import Console
 
 from doojax.datasets import Dataset
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.records import TrialRecord
 from doojax.learning.runs import RunDirectory
+from doojax.viewer.addresses import EYE, TARGET, read_place
 from doojax.viewer.dataset_page import DatasetPage
-from doojax.viewer.listing import find_items, is_dataset, is_run, kind_of, require_inside
+from doojax.viewer.evaluation_page import EvaluationPage
+from doojax.viewer.listing import find_items, is_dataset, is_evaluation, is_run, kind_of, require_inside
 from doojax.viewer.page import Page, Server, start_server
 from doojax.viewer.prediction_page import PredictionPage
 from doojax.viewer.run_page import RunPage
@@ -27,6 +33,10 @@ class Content(Protocol):
 
     def close(self) -> None:
         """End what runs beside the page."""
+        ...
+
+    def go(self, wanted: Mapping[str, str]) -> None:
+        """Go to where an address leads; what it does not say stays as it is."""
         ...
 
 
@@ -53,10 +63,25 @@ def view(path: tyro.conf.Positional[Path], /, *, host: str = "127.0.0.1", port: 
             style="yellow",
             markup=False,
         )
+    if hint := tunnel_hint(host, server.get_port(), os.environ):
+        console.print(hint, highlight=False, markup=False)
     try:
         threading.Event().wait()
     finally:
         server.stop()
+
+
+def tunnel_hint(host: str, port: int, environment: Mapping[str, str]) -> str:
+    """How to look from the machine that somebody has come from by ssh; "" where nobody has, or need not."""
+    if "SSH_CONNECTION" not in environment or not is_loopback(host):
+        return ""
+    here = environment["SSH_CONNECTION"].split()[2:3] or [socket.gethostname()]
+    user = environment.get("USER", "")
+    at = f"{user}@{here[0]}" if user else here[0]
+    return (
+        f"From the machine that you have come from by ssh: ssh -N -L {port}:localhost:{port} {at}, "
+        f"then http://localhost:{port} there"
+    )
 
 
 def is_loopback(host: str) -> bool:
@@ -67,8 +92,14 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def open_content(page: Page, path: Path, root: Path) -> Content:
-    """Show a data set, a run or a record in a page, and nothing from outside of ``root``.
+def open_content(page: Page, path: Path, root: Path, beside: Sequence[Path] = ()) -> Content:
+    """Show a data set, a run, an evaluation or a record in a page, and nothing from outside of ``root``.
+
+    Args:
+        page: where to.
+        path: of what is shown.
+        root: all that may be shown lies below it.
+        beside: what else there is, for what can be compared.
 
     Raises ValueError or OSError where it cannot be read.
     """
@@ -78,10 +109,14 @@ def open_content(page: Page, path: Path, root: Path) -> Content:
             warnings.simplefilter("ignore", UserWarning)  # the page itself says that a data set is unfinished
             return DatasetPage(page, Dataset.open(path))
     if is_run(path):
-        return RunPage(page, RunDirectory(path))
+        return RunPage(
+            page, RunDirectory(path), [other for other in beside if is_run(other) and other != path]
+        )
+    if is_evaluation(path):
+        return EvaluationPage(page, path)
     record = load_record(path)
     if isinstance(record, TrialRecord):
-        return TrialPage(page, record, str(path))
+        return TrialPage(page, record, path)
     return PredictionPage(page, record, str(path))
 
 
@@ -93,6 +128,8 @@ class App:
         self._path = path
         self._page = Page(server)
         self._content: Content | None = None
+        self._chosen: Path | None = None
+        server.on_address = self.go
         self._page.call(self.reload)
 
     def reload(self, chosen: Path | None = None) -> None:
@@ -104,15 +141,33 @@ class App:
         try:
             items = find_items(self._path)
             chosen = chosen if chosen in items else items[0]
+            self._chosen = chosen
+            self._page.shown = {"show": chosen.relative_to(self._path)} if len(items) > 1 else {}
             if len(items) > 1:
                 names = {f"{item.relative_to(self._path)} · {kind_of(item)}": item for item in items}
                 (shown,) = (name for name, item in names.items() if item == chosen)
                 pick = gui.add_dropdown("Show", tuple(names), initial_value=shown)
                 pick.on_update(page.calling(lambda: self.reload(names[pick.value])))
-            self._content = open_content(page, chosen, self._path)
+            self._content = open_content(page, chosen, self._path, items)
         finally:
             again = gui.add_button("Read again", order=1e9, hint="What is at the path may have changed")
             again.on_click(page.calling(lambda: self.reload(chosen)))
+
+    def go(self, client: viser.ClientHandle, wanted: dict[str, str]) -> None:
+        """Show what an address says, to everybody; its camera is for who has come by it."""
+
+        def show() -> None:
+            if "show" in wanted and self._path / wanted["show"] != self._chosen:
+                item = self._path / wanted["show"]
+                if item not in find_items(self._path):
+                    raise ValueError(f"there is no {wanted['show']} in {self._path}")
+                self.reload(item)
+            if self._content is not None:
+                self._content.go(wanted)
+            if EYE in wanted and TARGET in wanted:
+                self._page.put(client, read_place(wanted[EYE]), read_place(wanted[TARGET]))
+
+        self._page.call(show)
 
     def close(self) -> None:
         """End what runs beside the page."""

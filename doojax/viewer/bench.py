@@ -200,6 +200,7 @@ def opening(server: Server, page: "Page", path: Path) -> Row:
 def turning(server: Server, page: "Page", path: Path) -> Row:
     """Turn the view of a search tree with the mouse."""
     app = App(server, path)
+    page.get_by_role("tab", name="Search").click()
     page.get_by_text(f"{NODES:,} nodes").wait_for()
     page.evaluate("async () => { await window.settled(); window.treeFrames.clear(); }")
     page.mouse.move(300, 400)

@@ -1,9 +1,12 @@
 """The colours of everything shown: one meaning each, told apart by the colour-blind too (Okabe and Ito)."""
 
+import zlib
+
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from doojax.experiments.drawing import Colour
+from doojax.experiments.trials.touching import is_table
 
 ROPE: Colour = (213, 94, 0)
 GRIPPER: Colour = (12, 12, 16)
@@ -31,6 +34,25 @@ OVERLAY: tuple[Colour, ...] = (
     (120, 120, 120),
     (230, 159, 0),
 )
+
+# A method has its colour wherever it is shown; others than these take theirs from `OVERLAY`.
+METHODS: dict[str, Colour] = {
+    "classifier": (0, 114, 178),
+    "no_classifier": (213, 94, 0),
+    "collision_checker": (230, 159, 0),
+    "oracle": (70, 70, 70),
+    "full_dynamics": (86, 180, 233),
+    "learned_recovery": (204, 121, 167),
+    "random_recovery": (150, 110, 0),
+    "deviation": (0, 140, 100),
+    "voxel_classifier": (90, 60, 160),
+}
+
+
+def method_colour(method: str) -> Colour:
+    """The colour of a method, the same everywhere."""
+    return METHODS.get(method) or OVERLAY[zlib.crc32(method.encode()) % len(OVERLAY)]
+
 
 _VIRIDIS = [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141)]
 _VIRIDIS += [(39, 173, 129), (92, 200, 99), (170, 220, 50), (253, 231, 37)]
@@ -68,5 +90,4 @@ def to_unit(
 
 def obstacle_colour(half_size: Float[np.ndarray, "3"]) -> Colour:
     """Table tops are told from what stands on them by their size: 0.5 m and more, and flat."""
-    flat = min(half_size[:2]) > max(0.25, 3 * half_size[2])
-    return TABLE if flat else OBSTACLE
+    return TABLE if is_table(half_size) else OBSTACLE

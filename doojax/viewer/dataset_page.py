@@ -1,20 +1,25 @@
 """A data set in the page: pick, filter, sort and compare its trajectories."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from doojax.datasets import Dataset
-from doojax.experiments.drawing import Colour
+from doojax.experiments.drawing import Colour, Drawing
 from doojax.simulation.state import Fault
+from doojax.types import Obstacles
 from doojax.viewer import colours
 from doojax.viewer.columns import Columns, curves, shown_as
 from doojax.viewer.draw import SceneDrawing
 from doojax.viewer.episodes import Episode, episode, require_rope, title
+from doojax.viewer.films import Film, film_of_trajectory
 from doojax.viewer.page import Page
 from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
 from doojax.viewer.selection import Selection
 from doojax.viewer.show import show_episode
-from doojax.viewer.text import legend, plain
+from doojax.viewer.sight import Sight
+from doojax.viewer.text import legend, plain, shortened
 
 ARRANGEMENTS = ("side by side", "overlaid")
 MOST = len(colours.OVERLAY)  # trajectories at once
@@ -41,7 +46,7 @@ class DatasetPage:
                 f"unfinished: {len(dataset)} of {dataset.manifest.trajectories} trajectories so far; the "
                 "same collect command goes on with it"
             )
-        gui.add_markdown(f"**{plain(title(dataset))}**  \n{plain(dataset.path)}")
+        gui.add_markdown(f"**{plain(title(dataset))}**  \n{plain(shortened(dataset.path))}")
         self._selection = Selection(page, len(dataset), "trajectory", self._load)
         self.player = Player(page, self._show)
         self._facts = gui.add_markdown("")
@@ -56,6 +61,8 @@ class DatasetPage:
             self._arrangement = gui.add_dropdown("Arrangement", ARRANGEMENTS)
             self._trail = gui.add_checkbox("Trail", initial_value=True, hint="Earlier ropes, grippers' ways")
             fit = gui.add_button("Fit view")
+        with tabs.add_tab("View"):
+            self._sight = Sight(page, self._obstacles, self._film, self._place)
         for control in (self._at_once, self._arrangement):
             control.on_update(page.calling(self._load))
         self._trail.on_update(page.calling(lambda: self._show(self.player.moment)))
@@ -65,6 +72,30 @@ class DatasetPage:
     def close(self) -> None:
         """End what runs beside the page."""
         self.player.stop()
+
+    def go(self, wanted: Mapping[str, str]) -> None:
+        """Go to where an address leads. Raises ValueError for numbers that are none."""
+        if "trajectory" in wanted:
+            self._selection.go_to(int(wanted["trajectory"]))
+        if "state" in wanted:
+            self.player.pause()
+            self.player.go_to(float(wanted["state"]))
+
+    def _first(self) -> int:
+        if not len(self._selection.order):
+            raise ValueError("no trajectory is shown")
+        return int(self._selection.order[self._selection.place])
+
+    def _place(self) -> dict[str, object]:
+        return {"trajectory": self._first(), "state": int(self.player.moment)}
+
+    def _obstacles(self) -> Sequence[tuple[Drawing, Obstacles]]:
+        alone = self._arrangement.value == "overlaid"
+        shown = zip(self._drawings, self._shown, strict=False)
+        return [(drawing, one.obstacles) for drawing, one in shown][: 1 if alone else None]
+
+    def _film(self) -> Film:
+        return film_of_trajectory(self._dataset, self._first())
 
     def _load(self) -> None:
         """Read the trajectories that are to be shown, and arrange them."""
@@ -124,7 +155,7 @@ class DatasetPage:
         ):
             scene.add_frame(f"/shown{place}", show_axes=False, position=offset)
             if place == 0 or not overlaid:
-                drawing.obstacles("obstacles", one.obstacles, colour=colours.OBSTACLE)
+                self._sight.draw_one(drawing, one.obstacles)
         arranged = (len(self._shown), overlaid, first.planar)
         if arranged != self._arranged:
             self._arranged = arranged

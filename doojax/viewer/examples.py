@@ -1,5 +1,7 @@
 """Made-up data sets and records to try the viewer on: a towed rope among boxes, without physics."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -9,7 +11,10 @@ from jaxtyping import Array, Bool, Float
 from scipy.spatial import KDTree
 
 from doojax.datasets import DatasetWriter, Field
+from doojax.experiments.trials.outcomes import CONFIG, METHOD
+from doojax.experiments.trials.record_files import save_record
 from doojax.experiments.trials.records import Event, Grid, Look, PlanRecord, PredictionRecord, TrialRecord
+from doojax.experiments.trials.trial_list import line_of, note_trials
 from doojax.geometry import signed_distance
 from doojax.types import Obstacles, ShapeKind
 
@@ -150,6 +155,8 @@ def prediction_record(*, seed: int = 0, predictions: int = 5, horizon: int = 10)
             "ensemble deviation (m)": 0.6 * error + 0.002,
         },
         thresholds={"accept probability": 0.5},
+        accepted=error < 0.04,
+        error_threshold=0.03,
         grid=Grid(distance[None], np.array([[axis[0], axis[0], height[0]]]), spacing),
         about={"seed": seed, "model": "made up"},
     )
@@ -206,6 +213,25 @@ def plan_record(
         path=np.array(path[::-1]),
         score=score,
     )
+
+
+def write_evaluation(folder: Path, scenes: int, methods: Sequence[str]) -> None:
+    """An evaluation's folder: the first method reaches the goal everywhere, others in every other scene."""
+    for number, method in enumerate(methods):
+        (folder / method).mkdir(parents=True)
+        (folder / method / METHOD).write_text("{}")
+        for scene in range(scenes):
+            record = trial_record(seed=scene, nodes=64)
+            if number and scene % 2:
+                end = (
+                    *record.events[:-1],
+                    Event(len(record.points) - 1, "end", "10 searches did not suffice"),
+                )
+                record = replace(record, reached=False, events=end)
+            record = replace(record, method=method, about={"final_error_m": 0.01 * (scene + 1)})
+            save_record(folder / method / f"{scene:05d}.npz", record)
+            note_trials(folder / method, [line_of(record, scene)])
+    (folder / CONFIG).write_text('{"task": "rope_dragging", "seed": 0}')
 
 
 def trial_record(*, seed: int = 0, nodes: int = 1500) -> TrialRecord:

@@ -3,13 +3,16 @@
 from pathlib import Path
 
 from doojax.datasets.files import MANIFEST
+from doojax.experiments.trials.outcomes import CONFIG as EVALUATION
+from doojax.experiments.trials.outcomes import METHOD
 from doojax.files import describe_contents
 from doojax.learning.runs import CONFIG, METRICS
 from doojax.reading import read_header
 
 MOST_ITEMS = 2000  # in the page's list
 EXPECTATION = (
-    f"expected a folder with {MANIFEST} (a data set), a training run, a record (.npz) or a folder of them"
+    f"expected a folder with {MANIFEST} (a data set), a training run, an evaluation, a record (.npz) or a "
+    "folder of them"
 )
 
 
@@ -46,7 +49,9 @@ def find_items(path: Path) -> list[Path]:
 
 def can_be_shown(path: Path) -> bool:
     """Is this a data set, a run or a file that may be a record?"""
-    return is_dataset(path) or is_run(path) or (path.suffix == ".npz" and path.is_file())
+    if path.is_file():
+        return path.suffix == ".npz"
+    return is_dataset(path) or is_run(path) or is_evaluation(path)
 
 
 def is_dataset(path: Path) -> bool:
@@ -59,10 +64,15 @@ def is_run(path: Path) -> bool:
     return (path / CONFIG).exists() and (path / METRICS).exists()
 
 
+def is_evaluation(path: Path) -> bool:
+    """Is this the folder of an evaluation, with at least one method's?"""
+    return (path / EVALUATION).is_file() and next(path.glob(f"*/{METHOD}"), None) is not None
+
+
 def kind_of(path: Path) -> str:
     """A few words on what can be shown, read from no more than a file's head."""
     if path.is_dir():
-        return "data set" if is_dataset(path) else "training run"
+        return "data set" if is_dataset(path) else "training run" if is_run(path) else "trials"
     try:
         header = read_header(path, "a record")
         if header["format"] == "doojax trial":

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from doojax.viewer import colours
+from doojax.viewer.addresses import asked_for
 from doojax.viewer.draw import SceneDrawing
 from doojax.viewer.pictures import FROM_SIDE, camera_from
 from doojax.viewer.text import plain
@@ -27,6 +28,10 @@ TOWARDS_SUN = (-0.6, -1.0, 2.2)
 
 USUAL = 880, 800  # pixels of the scene in a page of 1280 x 800, beside the controls
 NEAR = 1e-3  # m
+NEAREST = 0.01  # m, of what a camera sees; viser's own
+FROM_TOP = np.array([0.0, -1e-3, 1.0])
+NARROW = 576  # pixels: up to this width viser puts the controls over the scene's lower part
+UNCOVERED = 0.4  # of the height is left above them
 
 
 class Server(viser.ViserServer):
@@ -34,9 +39,11 @@ class Server(viser.ViserServer):
 
     Attributes:
         on_resize: called for everybody who comes, and when the size of somebody's scene changes.
+        on_address: called for everybody who comes by an address that says what to show.
     """
 
     on_resize: Callable[[viser.ClientHandle], None] | None = None
+    on_address: Callable[[viser.ClientHandle, dict[str, str]], None] | None = None
 
     def resized(self, client: viser.ClientHandle) -> None:
         """Somebody has come, or moved the camera, or has another size now."""
@@ -79,6 +86,9 @@ def start_server(host: str, port: int) -> Server:
     def come(client: viser.ClientHandle) -> None:
         server.resized(client)
         client.camera.on_update(lambda _: server.resized(client))
+        query = asked_for(client)
+        if query and server.on_address is not None:
+            server.on_address(client, query)
 
     server.on_client_connect(come)
     return server
@@ -100,6 +110,8 @@ class Page:
         self.drawing = SceneDrawing(server.scene)
         self._console = Console(stderr=True, soft_wrap=True)
         self._seen: tuple[np.ndarray, np.ndarray] | None = None  # corners, and where they are seen from
+        self._cut: float | None = None  # m, above which nothing is seen
+        self.shown: dict[str, object] = {}  # what an address must say to lead to this content
         self._fitted: dict[
             int, tuple[tuple[int, int], np.ndarray]
         ] = {}  # client: size, where its camera was put
@@ -158,12 +170,16 @@ class Page:
         """Take the last message away: it no longer holds."""
         self.message.visible = False
 
-    def warn(self, text: str) -> None:
-        """Say in the page and on the terminal what holds for as long as this content is shown."""
-        self._say(self.warning, text)
+    def warn(self, text: str, again: bool = True) -> None:
+        """Say in the page and on the terminal what holds for as long as this content is shown.
 
-    def _say(self, place: viser.GuiMarkdownHandle, text: str) -> None:
-        self._console.print(f"[yellow]doojax view: {escape(text)}[/]", highlight=False)
+        Without ``again`` the terminal hears it once, however often it changes.
+        """
+        self._say(self.warning, text, again or not self.warning.visible)
+
+    def _say(self, place: viser.GuiMarkdownHandle, text: str, aloud: bool = True) -> None:
+        if aloud:
+            self._console.print(f"[yellow]doojax view: {escape(text)}[/]", highlight=False)
         place.content = "\n".join(f"> **{plain(line)}**  " for line in text.splitlines())
         place.visible = True
 
@@ -181,11 +197,38 @@ class Page:
 
     def look_at(self, corners: Float[np.ndarray, "K 3"], from_above: bool) -> None:
         """Have everybody see all of some points, and those who come later too."""
-        self._seen = corners, STEEP if from_above else FROM_SIDE
+        self._usual = STEEP if from_above else FROM_SIDE
+        self._eyes = []
+        self._look(corners, self._usual, None)
+
+    def turn(self, from_top: bool, cut: float | None = None) -> None:
+        """Have everybody look straight down, or as usual; looking down, nothing above ``cut`` (m) is seen.
+
+        Raises ValueError before `look_at` has said what there is to see.
+        """
+        if self._seen is None:
+            raise ValueError("there is nothing to look at yet: call look_at first")
+        direction = FROM_TOP / np.linalg.norm(FROM_TOP) if from_top else self._usual
+        self._look(self._seen[0], direction, cut if from_top else None)
+
+    def height_at(self, part: float) -> float:
+        """A height (m), at a part of the way from the lowest to the highest of what is shown."""
+        if self._seen is None:
+            raise ValueError("there is nothing to look at yet: call look_at first")
+        low, high = self._seen[0][:, 2].min(), self._seen[0][:, 2].max()
+        return float(low + part * (high - low))
+
+    def _look(self, corners: np.ndarray, direction: np.ndarray, cut: float | None) -> None:
+        self._seen, self._cut = (corners, direction), cut
         eye, target = self.view(*USUAL)
-        self._eyes = [eye]
-        self.server.initial_camera.position, self.server.initial_camera.look_at = eye, target
+        self._eyes.append(eye)
+        first = self.server.initial_camera
+        first.position, first.look_at, first.near = eye, target, self._nearest(eye)
         self.fit_view()
+
+    def _nearest(self, eye: Float[np.ndarray, "3"]) -> float:
+        """How far (m) from the eye what is seen begins: below the cut, if there is one."""
+        return NEAREST if self._cut is None else max(float(eye[2]) - self._cut, NEAREST)
 
     def view(self, width: int, height: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         """Where a camera has to be, and look, to see everything in a scene of so many pixels.
@@ -195,7 +238,8 @@ class Page:
         if self._seen is None:
             raise ValueError("there is nothing to look at yet: call look_at first")
         corners, direction = self._seen
-        camera = camera_from(direction, corners, width, height, margin=1.12)
+        visible = UNCOVERED if width <= NARROW else 1.0
+        camera = camera_from(direction, corners, width, height, margin=1.12, visible=visible)
         middle = (corners.min(0) + corners.max(0)) / 2
         ahead = camera.axes[2] * float(np.linalg.norm(middle - camera.eye))
         return camera.eye.astype(float), (camera.eye + ahead).astype(float)
@@ -212,6 +256,12 @@ class Page:
         eye, target = self.view(*size)
         self._fitted[client.client_id] = size, eye
         self._eyes.append(eye)
+        client.camera.position, client.camera.look_at = eye, target
+        client.camera.near = self._nearest(eye)
+
+    def put(self, client: viser.ClientHandle, eye: np.ndarray, target: np.ndarray) -> None:
+        """Move somebody's camera to a place (m), as if by hand: it stays there."""
+        self._fitted[client.client_id] = (0, 0), np.full(3, np.inf)
         client.camera.position, client.camera.look_at = eye, target
 
     def _refit(self, client: viser.ClientHandle) -> None:

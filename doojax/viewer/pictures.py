@@ -155,8 +155,18 @@ def camera_from(
     width: int,
     height: int,
     margin: float = MARGIN,
+    visible: float = 1.0,
 ) -> Camera:
-    """A camera in some direction that has all of some points in its picture, as large as it can."""
+    """A camera in some direction that has all of some points in its picture, as large as it can.
+
+    Args:
+        direction: from the points to the camera, a unit vector.
+        corners: the points, m.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        margin: of the picture's span to that of the points.
+        visible: the part of the picture's height, from its top, that nothing hides.
+    """
     low, high = corners.min(0), corners.max(0)
     middle = (low + high) / 2
     distance = 2 * float(np.linalg.norm(high - low))
@@ -167,10 +177,11 @@ def camera_from(
     for _ in range(12):  # centre and fit in turns: perspective ties the two together
         camera = at()
         column, row, depth = camera.project(corners)
-        right, down = (column.min() + column.max()) / 2 - width / 2, (row.min() + row.max()) / 2 - height / 2
+        right = (column.min() + column.max()) / 2 - width / 2
+        down = (row.min() + row.max()) / 2 - visible * height / 2
         metres = float(np.median(depth)) / camera.scale
         middle = middle + metres * (right * camera.axes[0] - down * camera.axes[1])
-        distance *= margin * max(float(np.ptp(column)) / width, float(np.ptp(row)) / height)
+        distance *= margin * max(float(np.ptp(column)) / width, float(np.ptp(row)) / (visible * height))
     return at()
 
 

@@ -1,6 +1,6 @@
 """Plots in the page."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import viser
@@ -15,7 +15,10 @@ HEIGHT, PADDING = 150, (10, 14, 0, 0)  # pixels
 BINS = 24
 MOST_TICKS = 5
 WHOLE = tuple(float(digit * 10**power) for power in range(6) for digit in (1, 2, 5))
+MARKS: dict[str, Colour] = {"search": colours.CHOSEN, "recovery": colours.RECOVERY}
+MARKS |= {"accepted": colours.GOAL, "accepted by luck": colours.REJECTED}
 LINES: tuple[Colour, ...] = (colours.ROPE, colours.CHOSEN, colours.GOAL, colours.PREDICTION)
+LINES += tuple(colour for colour in colours.OVERLAY if colour not in LINES)
 
 
 class TimePlot:
@@ -30,10 +33,19 @@ class TimePlot:
         self._marked = -1
 
     def set(
-        self, curves: Mapping[str, Float[np.ndarray, "T1"]], levels: Mapping[str, float] | None = None
+        self,
+        curves: Mapping[str, Float[np.ndarray, "T1"]],
+        levels: Mapping[str, float] | None = None,
+        marks: Mapping[str, Sequence[int]] | None = None,
     ) -> None:
-        """Show other curves, one value a state, and horizontal lines at the heights ``levels``."""
-        levels = levels or {}
+        """Show other curves, one value a state.
+
+        Args:
+            curves: by name.
+            levels: heights of horizontal lines, by name.
+            marks: states that are marked with dots on the first curve, by name.
+        """
+        levels, marks = levels or {}, marks or {}
         count = max((len(values) for values in curves.values()), default=0)
         lines = {name: np.asarray(values, dtype=float) for name, values in curves.items()}
         lines |= {name: np.full(count, height) for name, height in levels.items()}
@@ -45,6 +57,10 @@ class TimePlot:
         low, high = float(everything.min()), float(everything.max())
         room = 0.05 * (high - low) or 0.5
         self._bounds = low - room, high + room
+        first = np.nan_to_num(next(iter(lines.values())), nan=low - room / 2)
+        for name, states in marks.items():
+            lines[name] = np.full(count, np.nan)
+            lines[name][list(states)] = first[list(states)]
         self._data = (np.arange(count, dtype=float), *lines.values())
         self._marked = -1
         if self._handle is not None and self._names == tuple(lines):
@@ -54,7 +70,10 @@ class TimePlot:
             return
         self._drop()
         self._names = tuple(lines)
-        series = [_line(name, index, name in levels) for index, name in enumerate(lines)]
+        series = [
+            _dots(name) if name in marks else _line(name, index, name in levels)
+            for index, name in enumerate(lines)
+        ]
         now = viser.uplot.Series(label="now", stroke=_css(colours.INK), width=1, points={"show": False})
         with self._folder:
             self._handle = self._gui.add_uplot(
@@ -98,27 +117,52 @@ class TimePlot:
         self._names = ()
 
 
-def add_epoch_plot(gui: viser.GuiApi, title: str, curves: Mapping[str, Float[np.ndarray, "E"]]) -> None:
-    """A plot of curves with one value an epoch, of logarithmic height where all values are positive."""
-    lines = [np.asarray(values, dtype=float) for values in curves.values()]
-    known = np.concatenate([line[np.isfinite(line)] for line in lines])
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    logarithmic = low > 0
-    room = 0.05 * (high - low) or 0.5
-    low, high = (0.9 * low, 1.1 * high) if logarithmic else (low - room, high + room)
-    gui.add_uplot(
-        (np.arange(len(lines[0]), dtype=float) + 1, *lines),
-        (viser.uplot.Series(label="epoch"), *(_line(name, index) for index, name in enumerate(curves))),
-        title=title,
-        scales={
+class EpochPlot:
+    """Curves with one value an epoch, of logarithmic height where all values are positive."""
+
+    def __init__(self, gui: viser.GuiApi, title: str):
+        """An empty plot in the page's current folder."""
+        self._gui, self._title = gui, title
+        self._folder = gui.add_folder(None)
+        self._handle: viser.GuiUplotHandle | None = None
+        self._about: tuple = ()  # what a plot cannot change
+
+    def set(self, curves: Mapping[str, Float[np.ndarray, "_"]]) -> None:
+        """Show other curves, or more of them; they may be of different lengths."""
+        count = max((len(values) for values in curves.values()), default=0)
+        lines = [
+            np.pad(np.asarray(values, dtype=float), (0, count - len(values)), constant_values=np.nan)
+            for values in curves.values()
+        ]
+        known = np.concatenate([line[np.isfinite(line)] for line in lines])
+        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+        logarithmic = low > 0
+        room = 0.05 * (high - low) or 0.5
+        low, high = (0.9 * low, 1.1 * high) if logarithmic else (low - room, high + room)
+        data = (np.arange(count, dtype=float) + 1, *lines)
+        scales: dict[str, viser.uplot.Scale] = {
             "x": viser.uplot.Scale(time=False),
             "y": viser.uplot.Scale(distr=3 if logarithmic else 1, range=(low, high)),
-        },
-        axes=({"incrs": WHOLE}, axis(low, high, logarithmic)),
-        height=HEIGHT,
-        legend={"show": len(lines) > 1, "live": False},
-        padding=PADDING,
-    )
+        }
+        axes = (viser.uplot.Axis(incrs=WHOLE), axis(low, high, logarithmic))
+        about = (tuple(curves), logarithmic)
+        if self._handle is not None and about == self._about:
+            self._handle.scales, self._handle.axes, self._handle.data = scales, axes, data
+            return
+        if self._handle is not None:
+            self._handle.remove()
+        self._about = about
+        with self._folder:
+            self._handle = self._gui.add_uplot(
+                data,
+                (viser.uplot.Series(label="epoch"), *(_line(name, i) for i, name in enumerate(curves))),
+                title=self._title,
+                scales=scales,
+                axes=axes,
+                height=HEIGHT,
+                legend={"show": len(lines) > 1, "live": False},
+                padding=PADDING,
+            )
 
 
 def axis(low: float, high: float, logarithmic: bool = False) -> viser.uplot.Axis:
@@ -194,6 +238,13 @@ class Histogram:
                 legend={"show": False},
                 padding=PADDING,
             )
+
+
+def _dots(name: str) -> viser.uplot.Series:
+    colour = _css(MARKS.get(name, colours.INK))
+    return viser.uplot.Series(
+        label=name, stroke=colour, width=0, points={"show": True, "size": 8, "fill": colour}
+    )
 
 
 def _line(name: str, index: int, level: bool = False) -> viser.uplot.Series:

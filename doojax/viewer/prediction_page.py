@@ -1,21 +1,29 @@
 """A prediction record in the page: what a model expected beside what happened."""
 
-import numpy as np
-from jaxtyping import Float
+from collections.abc import Mapping
 
+import numpy as np
+from jaxtyping import Float, Int
+
+from doojax.experiments.drawing import Drawing
 from doojax.experiments.trials.records import PredictionRecord
+from doojax.types import Obstacles
 from doojax.viewer import colours
 from doojax.viewer.episodes import episode_of
+from doojax.viewer.films import Film, film_of_prediction
 from doojax.viewer.page import Page
 from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
 from doojax.viewer.selection import Selection
 from doojax.viewer.show import WORST_ERROR, show_grid, show_prediction
-from doojax.viewer.text import legend, listed, plain
+from doojax.viewer.sight import Sight
+from doojax.viewer.text import legend, listed, plain, shortened
 
 LEGEND = {"rope, as it was": colours.ROPE, "as predicted": colours.PREDICTION, "gripper": colours.GRIPPER}
 LEGEND |= {"obstacle": colours.OBSTACLE, f"error, 0 to {100 * WORST_ERROR:.0f} cm": "error"}
 INPUTS = ("hidden", "one layer", "what obstacles fill")
+WORST, ACCEPTS, REJECTS = "worst steps", "false accepts", "false rejects"
+MOST_WORST = 20
 
 
 class PredictionPage:
@@ -29,14 +37,23 @@ class PredictionPage:
         if not len(record.start):
             raise ValueError(f"{name} is empty: the record holds no predictions")
         self._page, self._record = page, record
-        with np.errstate(invalid="ignore"):
-            # P H1, root mean square over the points
-            self._errors = 100 * np.sqrt((record.errors() ** 2).mean(-1))
+        self._errors = 100 * record.rms_errors()  # P H1, cm
+        self._mistakes = record.mistaken()
+        self._places = places_of(record)
+        self._trajectory = -1  # whose obstacles are drawn
         columns = self._columns()
         gui = page.server.gui
-        gui.add_markdown(f"**{plain(record.task.replace('_', ' '))} · predictions**  \n{plain(name)}")
+        gui.add_markdown(
+            f"**{plain(record.task.replace('_', ' '))} · predictions**  \n{plain(shortened(name))}"
+        )
         self._selection = Selection(page, len(record.start), "prediction", self._load)
         self.player = Player(page, self._show, "Steps ahead")
+        kinds = [f"{kind} ({len(found)})" for kind, found in self._places.items()]
+        self._kind = gui.add_dropdown("Go through", kinds, hint="Keys: N next, P previous")
+        self._jumped = -1
+        self._kind.on_update(page.calling(self._begin_places))
+        page.key("Next of these", "N", lambda: self._go(1))
+        page.key("Previous of these", "P", lambda: self._go(-1))
         self._facts = gui.add_markdown("")
         gui.add_html(legend(LEGEND))
         tabs = gui.add_tab_group()
@@ -55,6 +72,8 @@ class PredictionPage:
                 self._layer.value = int(np.clip(round(away / record.grid.spacing), 0, layers - 1))
             for control in (self._input, self._layer):
                 control.on_update(page.calling(self._show_input))
+        with tabs.add_tab("View"):
+            self._sight = Sight(page, self._obstacles, self._film, self._place)
         if record.about:
             with tabs.add_tab("About"):
                 gui.add_markdown(listed(record.about))
@@ -68,6 +87,23 @@ class PredictionPage:
     def close(self) -> None:
         """End what runs beside the page."""
         self.player.stop()
+
+    def go(self, wanted: Mapping[str, str]) -> None:
+        """Go to where an address leads. Raises ValueError for numbers that are none."""
+        if "prediction" in wanted:
+            self._selection.go_to(int(wanted["prediction"]))
+        if "state" in wanted:
+            self.player.pause()
+            self.player.go_to(float(wanted["state"]))
+
+    def _place(self) -> dict[str, object]:
+        return {"prediction": self._index, "state": int(self.player.moment)}
+
+    def _obstacles(self) -> list[tuple[Drawing, Obstacles]]:
+        return [(self._page.drawing, self._record.obstacles_of(max(self._trajectory, 0)))]
+
+    def _film(self) -> Film:
+        return film_of_prediction(self._record, self._index)
 
     @property
     def _index(self) -> int:
@@ -93,11 +129,13 @@ class PredictionPage:
             self._facts.content = "no prediction passes the filter"
             return
         index = self._index
-        around = record.obstacles_of(record.trajectory(index))
-        self._page.drawing.obstacles("obstacles", around, colour=colours.OBSTACLE)
+        if self._trajectory != record.trajectory(index):
+            self._trajectory = record.trajectory(index)
+            self._sight.draw()
         steps = np.flatnonzero(np.isfinite(record.predicted_points[index]).all((1, 2)))
         count = int(steps[-1]) + 1 if len(steps) else 1
-        self._error_plot.set({"error": self._errors[index, :count]})
+        bound = {} if record.error_threshold is None else {"threshold": 100 * record.error_threshold}
+        self._error_plot.set({"error": self._errors[index, :count]}, bound)
         for name, plot in self._score_plots.items():
             levels = {"threshold": record.thresholds[name]} if name in record.thresholds else {}
             plot.set({name: record.scores[name][index, :count]}, levels)
@@ -117,6 +155,8 @@ class PredictionPage:
         states = record.states(record.trajectory(index))
         first, last = record.start[index] - states.start, states.stop - states.start - 1
         lines = [f"prediction **{index}**, from state {first} of {last}"]
+        if record.rows is not None:
+            lines[0] += f", trajectory {record.rows[record.trajectory(index)]}"
         known = f"error {error:.1f} cm" if np.isfinite(error) else "what happened here is not known"
         lines.append(f"{step} steps ahead: {known}")
         for name, values in record.scores.items():
@@ -124,7 +164,39 @@ class PredictionPage:
                 bound = record.thresholds.get(name)
                 beside = "" if bound is None else f" (threshold {bound:.3g})"
                 lines.append(f"{plain(name)} {values[index, step]:.3g}{beside}")
+        if record.accepted is not None and step > 0:
+            lines.append(self._verdict(index, step))
         self._facts.content = "  \n".join(lines)
+
+    def _verdict(self, index: int, step: int) -> str:
+        """What the judge said of a step, and whether that was so."""
+        accepted = self._record.accepted
+        said = "accepted" if accepted is not None and accepted[index, step] else "rejected"
+        accepts, rejects = self._mistakes
+        if accepts[index, step]:
+            return f"**{said}, but wrong: a false accept**"
+        if rejects[index, step]:
+            return f"**{said}, but right: a false reject**"
+        counted = self._record.counted()[index, step]
+        return said + ("" if counted else " (begins where the prediction was wrong already: not counted)")
+
+    def _begin_places(self) -> None:
+        self._jumped = -1
+        self._go(1)
+
+    def _go(self, steps: int) -> None:
+        """Show the next or the previous of the steps that one goes through."""
+        kind = list(self._places)[self._kind.options.index(self._kind.value)]
+        places = self._places[kind]
+        if not len(places):
+            self._page.report(f"there are no {kind}")
+            return
+        self._page.quiet()
+        self._jumped = int(np.clip(self._jumped + steps, 0, len(places) - 1))
+        prediction, step = places[self._jumped].tolist()
+        self.player.pause()
+        self._selection.go_to(prediction)
+        self.player.go_to(float(step))
 
     def _show_input(self) -> None:
         record, grid = self._record, self._record.grid
@@ -139,3 +211,19 @@ class PredictionPage:
             self._page.drawing.remove("input")
         else:
             show_grid(self._page.drawing, record, index, int(self._layer.value) if layered else None)
+
+
+def places_of(record: PredictionRecord) -> dict[str, Int[np.ndarray, "k 2"]]:
+    """Predictions and steps worth a look: the worst of each prediction, then what the judge was wrong about.
+
+    The worst first: by the error; of false rejects, the least error.
+    """
+    error = np.nan_to_num(record.rms_errors(), nan=-1.0)
+    worst = np.stack([np.arange(len(error)), error.argmax(1)], axis=1)
+    order = np.argsort(-error.max(1), kind="stable")[:MOST_WORST]
+    found = {WORST: worst[order]}
+    if record.accepted is not None and record.error_threshold is not None:
+        for name, chosen, sign in zip((ACCEPTS, REJECTS), record.mistaken(), (-1, 1), strict=True):
+            places = np.argwhere(chosen)
+            found[name] = places[np.argsort(sign * error[chosen], kind="stable")]
+    return found

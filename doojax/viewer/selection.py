@@ -68,6 +68,22 @@ class Selection:
             control.on_update(self._by_hand)
         self._say_count()
 
+    def go_to(self, item: int) -> None:
+        """Pick an item; a filter that holds it back is taken away.
+
+        Raises ValueError where there is no such item.
+        """
+        if not 0 <= item < self._count:
+            raise ValueError(f"there is no item {item}: expected 0 to {self._count - 1}")
+        places = np.flatnonzero(self.order == item)
+        if not len(places):
+            self._column.value = NO_COLUMN
+            self._column_chosen()
+            places = np.flatnonzero(self.order == item)
+        if self.place != places[0]:
+            self.pick.value = int(places[0])
+            self._on_pick()
+
     def _go(self, steps: int) -> None:
         self.pick.value = int(np.clip(self.place + steps, 0, max(len(self.order) - 1, 0)))
 

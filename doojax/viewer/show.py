@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from doojax.experiments.drawing import Colour, Drawing
+from doojax.experiments.trials.executed import Followed
 from doojax.experiments.trials.records import Look, PlanRecord, PredictionRecord, TrialRecord, body_of
 from doojax.viewer import colours
 from doojax.viewer.episodes import Episode
@@ -141,10 +142,14 @@ def show_grid(
     drawing.points(name, places, size=DOT * grid.spacing, colours=tint)
 
 
+def node_values(plan: PlanRecord, by: str) -> Float[np.ndarray, "n"]:
+    """A tree's nodes' "depth" or "score", which their colours tell."""
+    return plan.depth().astype(float) if by == "depth" or plan.score is None else plan.score
+
+
 def node_colours(plan: PlanRecord, by: str) -> UInt8[np.ndarray, "n 3"]:
     """Colours of a tree's nodes by "depth" or "score", dark to light; rejected ones have their own."""
-    values = plan.depth().astype(float) if by == "depth" or plan.score is None else plan.score
-    accepted = np.where(plan.accepted, values, np.nan)
+    accepted = np.where(plan.accepted, node_values(plan, by), np.nan)
     tint = colours.scale("viridis", colours.to_unit(accepted))
     return np.where(plan.accepted[:, None], tint, np.array(colours.REJECTED, dtype=np.uint8))
 
@@ -183,20 +188,47 @@ def show_plan(
         drawing.rope("plan/end", curve, radius=look.rope_radius, colour=colours.CHOSEN, opacity=GHOST)
 
 
-def show_execution(drawing: Drawing, record: TrialRecord, moment: float) -> None:
+def show_execution(
+    drawing: Drawing, record: TrialRecord, moment: float, colour: Colour = colours.EXECUTED
+) -> None:
     """The executed rope at a moment, the goal, and the way so far of the point that is to reach it.
 
     Recoveries have a colour of their own in that way.
     """
     points, grippers = between(record.points, moment), between(record.grippers, moment)
-    show_rope(drawing, "now", points, grippers, record.look)
+    show_rope(drawing, "now", points, grippers, record.look, colour=colour)
     way = record.goal_way[: int(moment) + 1]
     if len(way) < 2:
         drawing.remove("executed")
     else:
-        tint = np.where(recovering(record)[: len(way) - 1, None], colours.RECOVERY, colours.EXECUTED)
+        tint = np.where(recovering(record)[: len(way) - 1, None], colours.RECOVERY, colour)
         drawing.lines("executed", segments_of(way), width=4.0, colours=tint.astype(np.uint8))
     drawing.spheres("goal", record.goal[None], radius=record.goal_radius, colours=colours.GOAL, opacity=0.6)
+
+
+def show_expected(drawing: Drawing, record: TrialRecord, found: Followed, moment: float) -> None:
+    """Where the plan that is being followed expects the rope at a moment; nothing where none does.
+
+    Lines lead from where its points are to where they were expected.
+    """
+    state = min(int(moment), len(found.node) - 1)
+    after = min(state + 1, len(found.node) - 1)
+    plan, nodes = found.plan[after], [found.node[state], found.node[after]]
+    if found.plan[state] != plan and plan >= 0 and found.node[after] >= 0:  # a new plan begins here
+        nodes[0] = record.plans[plan].path[0]
+    if moment == state:
+        plan, nodes = found.plan[state], [found.node[state]] * 2
+    if plan < 0 or min(nodes) < 0:
+        drawing.remove("expected")
+        return
+    tree, look = record.plans[plan], record.look
+    points = between(tree.points[nodes], moment - state)
+    rope = extended(points, look.rope_end)
+    drawing.rope("expected/rope", rope, radius=look.rope_radius, colour=colours.PREDICTION, opacity=GHOST)
+    actual = between(record.points, moment)
+    drawing.lines(
+        "expected/misses", np.stack([actual, points], axis=1), width=1.5, colours=colours.PREDICTION
+    )
 
 
 def recovering(record: TrialRecord) -> Bool[np.ndarray, "T"]:

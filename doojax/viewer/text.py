@@ -14,6 +14,15 @@ def plain(text: object) -> str:
     return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", str(text))
 
 
+def shortened(text: object, most: int = 44) -> str:
+    """A text, such as a path, of at most so many letters: what is too long loses its middle."""
+    said = str(text)
+    if len(said) <= most:
+        return said
+    end = 2 * (most - 1) // 3  # the end says more
+    return f"{said[: most - 1 - end]}…{said[-end:]}"
+
+
 def listed(about: Mapping[str, Any]) -> str:
     """Names and values, one a line, as Markdown."""
     return "  \n".join(f"{plain(name)}: **{plain(json.dumps(value))}**" for name, value in about.items())
