@@ -1,7 +1,7 @@
 """A `Drawing` on a viser scene: only what changed travels to the page."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import viser
@@ -14,6 +14,7 @@ from doojax.viewer import shapes
 from doojax.viewer.episodes import rotation_matrices
 
 Colours = Colour | UInt8[np.ndarray, "K 3"]
+Anchor = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
 FEW = 8  # balls that are nodes of their own
 
 
@@ -236,14 +237,16 @@ class SceneDrawing:
         )
         self._keep(name, handle)
 
-    def text(self, name: str, text: str, position: Float[np.ndarray, "3"]) -> None:
-        """See `Drawing.text`."""
-        if self._stays(name, ("text",)):
+    def text(
+        self, name: str, text: str, position: Float[np.ndarray, "3"], anchor: Anchor = "top-left"
+    ) -> None:
+        """See `Drawing.text`; ``anchor`` is the corner of the words that is at the place."""
+        if self._stays(name, ("text", anchor)):
             self._handles[name].text = text
             self._handles[name].position = np.asarray(position, dtype=float)
         else:
             place = np.asarray(position, dtype=float)
-            self._keep(name, self._scene.add_label(self._path(name), text, position=place))
+            self._keep(name, self._scene.add_label(self._path(name), text, position=place, anchor=anchor))
 
     def remove(self, name: str) -> None:
         """See `Drawing.remove`."""

@@ -95,12 +95,15 @@ def film_of_prediction(record: PredictionRecord, index: int) -> Film:
     )
 
 
+def corners_of_trial(record: TrialRecord) -> Float[np.ndarray, "K 3"]:
+    """Points (m) around which a picture of a trial must reach: what there is, and all that was tried."""
+    nodes = [body_of(plan.points, plan.grippers, record.goal_point) for plan in record.plans]
+    corners = np.concatenate([episode_of(record).corners(), record.goal[None], *nodes]).astype(np.float32)
+    return corners[np.isfinite(corners).all(-1)]
+
+
 def film_of_trial(record: TrialRecord) -> Film:
     """A trial: at every moment the search and the plan being followed, and what was executed."""
-    world = episode_of(record)
-    nodes = [body_of(plan.points, plan.grippers, record.goal_point) for plan in record.plans]
-    everything = np.concatenate([world.corners(), record.goal[None], *nodes]).astype(np.float32)
-
     ends = np.concatenate([record.points[[0, -1]].reshape(-1, 3), record.goal[None]])
     seen = ends[np.isfinite(ends).all(-1)]
 
@@ -116,9 +119,9 @@ def film_of_trial(record: TrialRecord) -> Film:
 
     return Film(
         title=f"{record.task.replace('_', ' ')} · {record.method} · seed {record.seed}: {record.end}",
-        corners=everything[np.isfinite(everything).all(-1)],
+        corners=corners_of_trial(record),
         floor=record.look.floor,
-        planar=world.planar,
+        planar=episode_of(record).planar,
         states=len(record.points),
         period=record.period,
         set_up=set_up,

@@ -1,5 +1,6 @@
 """What there is to show at a path."""
 
+import os
 from pathlib import Path
 
 from doojax.datasets.files import MANIFEST
@@ -86,6 +87,12 @@ def kind_of(path: Path) -> str:
 def require_inside(folder: Path, root: Path) -> None:
     """Raise ValueError where something in a folder is a link that leads out of ``root``."""
     root = root.resolve()
-    for item in folder.rglob("*"):
-        if item.is_symlink() and not item.resolve().is_relative_to(root):
-            raise ValueError(f"{item} leads out of {root}: it is not shown")
+    folders = [folder] if folder.is_dir() else []
+    while folders:  # not Path.rglob, which takes half a second for ten thousand files
+        with os.scandir(folders.pop()) as entries:
+            for item in entries:
+                if item.is_symlink():
+                    if not Path(item.path).resolve().is_relative_to(root):
+                        raise ValueError(f"{item.path} leads out of {root}: it is not shown")
+                elif item.is_dir():
+                    folders.append(Path(item.path))

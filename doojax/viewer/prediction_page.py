@@ -77,11 +77,7 @@ class PredictionPage:
         if record.about:
             with tabs.add_tab("About"):
                 gui.add_markdown(listed(record.about))
-        world = episode_of(record)
-        first = np.searchsorted(record.start, record.states(0).stop)  # predictions along the first trajectory
-        predicted = record.predicted_points[:first].reshape(-1, 3)
-        everywhere = np.concatenate([world.corners(), predicted[np.isfinite(predicted).all(-1)]])
-        page.stage(everywhere.astype(np.float32), record.look.floor, world.planar)
+        page.stage(corners_of_predictions(record), record.look.floor, episode_of(record).planar)
         page.call(self._load)
 
     def close(self) -> None:
@@ -211,6 +207,19 @@ class PredictionPage:
             self._page.drawing.remove("input")
         else:
             show_grid(self._page.drawing, record, index, int(self._layer.value) if layered else None)
+
+
+def corners_of_predictions(record: PredictionRecord) -> Float[np.ndarray, "K 3"]:
+    """Corners (m) of a box around all that happened, and of predictions what is within half its width."""
+    worlds = [episode_of(record, trajectory).corners() for trajectory in range(len(record.begins))]
+    low = np.min([world.min(0) for world in worlds], axis=0)
+    high = np.max([world.max(0) for world in worlds], axis=0)
+    room = (high - low).max() / 2
+    predicted = record.predicted_points.reshape(-1, 3)
+    predicted = predicted[np.isfinite(predicted).all(-1)].clip(low - room, high + room)
+    everything = np.concatenate([low[None], high[None], predicted])
+    low, high = everything.min(0), everything.max(0)
+    return np.stack(np.meshgrid(*np.stack([low, high], -1)), -1).reshape(-1, 3).astype(np.float32)
 
 
 def places_of(record: PredictionRecord) -> dict[str, Int[np.ndarray, "k 2"]]:

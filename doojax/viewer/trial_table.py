@@ -16,7 +16,14 @@ from doojax.viewer import colours
 from doojax.viewer.addresses import address
 
 ROWS = 9  # shown at once
-SHOWN = "padding: 0 0.75em 0.5em; font-size: 0.8em; line-height: 1.45"
+SHOWN = "padding: 0 0.75em 0.5em; font-size: 0.8em; line-height: 1.45; container-type: inline-size"
+# the table of a narrow panel has four columns, and says the rest in its sentences
+NARROW = (
+    "<style>.narrow { display: none } "
+    ".trials td, .trials th { padding: 0 0.4em 0 0; text-align: left; vertical-align: top } "
+    ".trials td { overflow-wrap: break-word } .trials .number { text-align: right; white-space: nowrap } "
+    "@container (max-width: 330px) { .wide { display: none } .narrow { display: inline } }</style>"
+)
 ALL, FAILED, REACHED = "all", "failed only", "reached only"
 SORTS: Mapping[str, Callable[["Row"], tuple]] = {
     "scene": lambda row: (row.line.trial, row.method),
@@ -120,8 +127,10 @@ def table(rows: Sequence[Row], order: Sequence[int], place: int, shown: Mapping[
         shown: what an address must say to lead to this page.
     """
     first = max(0, min(place - ROWS // 2, len(order) - ROWS))
-    heads = ("scene", "method", "outcome", "error", "searches", "actions", "s")
-    lines = ["<tr>" + "".join(f"<th style='text-align: left'>{head}</th>" for head in heads) + "</tr>"]
+    heads = [f"<th>{head}</th>" for head in ("scene", "method", "outcome")]
+    heads.append('<th class="number">error</th>')
+    heads += [f'<th class="number wide">{head}</th>' for head in ("searches", "actions", "s")]
+    lines = [f"<tr>{''.join(heads)}</tr>"]
     for index in order[first : first + ROWS]:
         row, line = rows[index], rows[index].line
         link = address({**shown, "method": row.method, "scene": line.trial})
@@ -129,21 +138,19 @@ def table(rows: Sequence[Row], order: Sequence[int], place: int, shown: Mapping[
         outcome = "reached" if line.reached else "<b>failed</b>"
         cells = (
             f'<a href="{html.escape(link)}">{line.trial}</a>',
-            f"{dot(row.method)} {html.escape(row.method)}",
+            f"{dot(row.method)} {html.escape(row.method).replace('_', '_<wbr>')}",
             outcome,
-            error,
-            f"{line.searches}",
-            f"{line.actions}",
-            f"{line.plan_s:.1f}",
         )
+        numbers = (f"{line.searches}", f"{line.actions}", f"{line.plan_s:.1f}")
+        said = f"{line.searches} searches, {line.actions} actions, {line.plan_s:.1f} s: "
+        every = [f"<td>{cell}</td>" for cell in cells] + [f'<td class="number">{error}</td>']
+        every += [f'<td class="number wide">{number}</td>' for number in numbers]
         back = "background: #e7f1fb" if order[place] == index else ""
-        lines.append(f'<tr style="{back}">' + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-        lines.append(
-            f'<tr style="{back}; color: #6e7680"><td></td><td colspan="6">{html.escape(line.why)}</td></tr>'
-        )
-    return (
-        f'<div style="{SHOWN}"><table style="border-spacing: 0; width: 100%">{"".join(lines)}</table></div>'
-    )
+        lines.append(f'<tr style="{back}">{"".join(every)}</tr>')
+        why = f'<span class="narrow">{said}</span>{html.escape(line.why)}'
+        lines.append(f'<tr style="{back}; color: #6e7680"><td></td><td colspan="6">{why}</td></tr>')
+    rows_shown = f'<table style="border-spacing: 0; width: 100%">{"".join(lines)}</table>'
+    return f'{NARROW}<div class="trials" style="{SHOWN}">{rows_shown}</div>'
 
 
 def dot(method: str) -> str:

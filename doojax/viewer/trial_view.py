@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import viser
+from jaxtyping import Float
 
 from doojax.experiments.drawing import Colour, Drawing
 from doojax.experiments.trials.executed import followed
@@ -15,7 +16,9 @@ from doojax.experiments.trials.trial_list import KEEP
 from doojax.experiments.trials.why import SEARCHED, why
 from doojax.types import Obstacles
 from doojax.viewer import colours
-from doojax.viewer.films import Film, film_of_trial
+from doojax.viewer.draw import Anchor
+from doojax.viewer.episodes import episode_of
+from doojax.viewer.films import Film, corners_of_trial, film_of_trial
 from doojax.viewer.page import Page
 from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
@@ -126,8 +129,7 @@ class TrialView:
         self._set_curves()
         self._about.content = listed({key: value for key, value in record.about.items() if key != "why"})
         if first:  # later ones are seen from where somebody has turned the view to
-            film = film_of_trial(record)
-            self._page.stage(film.corners, film.floor, film.planar)
+            self._page.stage(corners_of_trial(record), record.look.floor, episode_of(record).planar)
         drawing.text("goal label", "goal", record.goal + np.array([0, 0, 1.2 * record.goal_radius]))
         self.sight.draw()
         self._number()
@@ -181,10 +183,12 @@ class TrialView:
         active, centre = np.asarray(record.obstacles.active), np.asarray(record.obstacles.centre)
         said = {int(number) for number in NUMBERED.findall(why(record))}
         drawing.remove("names")
-        for number, name in enumerate(obstacle_names(record.obstacles)):
-            if active[number] and (self._numbers.value or number in said):
-                top = centre[number] + np.array([0, 0, float(record.obstacles.half_size[number, 2])])
-                drawing.text(f"names/{number}", name, top)
+        names = obstacle_names(record.obstacles)
+        numbers = [n for n in range(len(names)) if active[n] and (self._numbers.value or n in said)]
+        anchors = apart(centre[numbers])
+        for number, anchor in zip(numbers, anchors, strict=True):
+            top = centre[number] + np.array([0, 0, float(record.obstacles.half_size[number, 2])])
+            drawing.text(f"names/{number}", names[number], top, anchor)
 
     def _event_chosen(self, event: viser.GuiEvent) -> None:
         if event.client is not None:  # by hand: it follows the state, too
@@ -286,6 +290,20 @@ class TrialView:
         values = values[np.isfinite(values)]
         bounds = f", {values.min():.3g} to {values.max():.3g}" if len(values) else ""
         return meanings | {f"tree, by {by}{bounds}": "viridis", "rejected": colours.REJECTED}
+
+
+def apart(places: Float[np.ndarray, "k 3"]) -> list[Anchor]:
+    """Which corner of its words is at each place, so that they lead away from those at the others."""
+    if not len(places):
+        return []
+    left, far = ((places[:, :2] - places[:, :2].mean(0)) * [-1, 1] > 1e-6).T
+    corners: dict[tuple[bool, bool], Anchor] = {
+        (False, False): "top-left",
+        (True, False): "top-right",
+        (False, True): "bottom-left",
+        (True, True): "bottom-right",
+    }
+    return [corners[bool(to_left), bool(behind)] for to_left, behind in zip(left, far, strict=True)]
 
 
 def extensions_of(record: TrialRecord, index: int) -> int | None:

@@ -1,6 +1,7 @@
 """Seeing through, from the top, in section; what is taken home of it; small screens."""
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -8,6 +9,9 @@ import numpy as np
 import pytest
 
 from doojax.experiments.trials.record_files import load_record
+from doojax.viewer.examples import prediction_record
+from doojax.viewer.prediction_page import corners_of_predictions
+from doojax.viewer.trial_view import apart
 
 from .test_page import coloured
 
@@ -18,6 +22,26 @@ def trial(view, contents):
     look.wait_for("reached the goal: goal reached")
     look.tab("View")
     return look, app, load_record(contents / "trial.npz")
+
+
+def test_the_words_at_obstacles_lead_away_from_each_other():
+    left, right, behind = np.array([[-0.1, 0, 0.2], [0.1, 0, 0.2], [0, 0.3, 0.2]])
+    assert apart(np.stack([right, left])) == ["top-left", "top-right"]
+    assert apart(np.stack([left, right, behind])) == ["top-right", "top-left", "bottom-left"]
+    assert apart(np.zeros((0, 3))) == [] and apart(left[None]) == ["top-left"]
+
+
+def test_a_prediction_that_leaves_what_happened_is_in_sight_but_not_one_that_explodes():
+    record = prediction_record()
+    happened = corners_of_predictions(replace(record, predicted_points=record.predicted_points * np.nan))
+    low, high = happened.min(0), happened.max(0)
+    away, room = record.predicted_points.copy(), (high - low).max() / 2
+    away[-1, 1, 0] = high + np.array([0.8 * room, 0, 0])
+    away[-1, 2, 0] = low - np.array([0, 1e6, 0])
+    found = corners_of_predictions(replace(record, predicted_points=away))
+    assert found[:, 0].max() == pytest.approx(high[0] + 0.8 * room, rel=1e-5)
+    assert found[:, 1].min() == pytest.approx(low[1] - room, rel=1e-5)
+    assert found[:, 2].min() <= low[2] and len(found) == 8
 
 
 def grey(pixels: np.ndarray) -> int:
@@ -58,6 +82,8 @@ def test_from_the_top_and_in_section(trial, server):
 @pytest.mark.parametrize("ending", ["PNG", "GIF", "HTML"])
 def test_what_is_shown_can_be_taken_home(view, contents, ending):
     look, _ = view(contents / "prediction.npz")
+    look.enter("Steps ahead", 9)  # at first the prediction lies over what happened, and hides it
+    look.until(lambda: coloured(look.pixels(), "orange").sum() > 50)
     look.tab("View")
     with look.page.expect_download(timeout=60_000) as download:
         look.page.get_by_role("button", name=ending, exact=True).click()
@@ -67,7 +93,8 @@ def test_what_is_shown_can_be_taken_home(view, contents, ending):
     else:
         frames = imageio.imread(io.BytesIO(content), extension=f".{ending.lower()}", index=None)
         assert len(frames) > (5 if ending == "GIF" else 0)
-        assert all(coloured(frame[..., :3].astype(int), "orange").sum() > 50 for frame in frames[:1])
+        assert coloured(frames[-1][..., :3].astype(int), "orange").sum() > 50
+        assert coloured(frames[-1][..., :3].astype(int), "violet").sum() > 30
 
 
 def test_on_a_small_screen_the_controls_do_not_hide_the_rope(view, contents, new_look, server):
