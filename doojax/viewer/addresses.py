@@ -14,7 +14,7 @@ import viser
 from jaxtyping import Float
 
 EYE, TARGET = "eye", "at"  # of the camera, m
-PATIENCE = 5.0  # s
+PATIENCE = 30.0  # s: a page far away, or on a busy machine, tells late
 PREFIX = "viser-user:"  # of the keys that viser lets a server read
 ASK = '<img src="data:," style="display: none" onerror="localStorage.setItem(\'{key}\', location.search)">'
 SET = '<img src="data:," style="display: none" onerror="history.replaceState(null, \'\', \'{query}\')">'

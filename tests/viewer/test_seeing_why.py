@@ -21,6 +21,7 @@ from doojax.viewer.examples import trial_record, write_evaluation
 from doojax.viewer.text import shortened
 from doojax.viewer.trial_table import chosen, read_rows
 
+from .conftest import SIZE
 from .test_page import coloured
 
 SCENES, METHODS = 4, ("classifier", "no_classifier")
@@ -120,22 +121,22 @@ def test_trials_are_filtered_and_gone_through_by_key(view, evaluation):
     look.wait_for("no trial passes the filter")
 
 
-def test_a_narrow_table_of_trials_says_all_that_a_wide_one_says(view, evaluation, new_look):
+def test_a_narrow_table_of_trials_says_all_that_a_wide_one_says(view, evaluation):
     look, _ = view(evaluation)
     look.wait_for("rope dragging · classifier · seed 0")
-    small = new_look(width=390, height=844)
-    small.wait_for("rope dragging · classifier · seed 0")
     line = read_rows(evaluation)[0].line
-    said = f"{line.searches} searches, {line.actions} actions, {line.plan_s:.1f} s: "
-    assert (
-        small.page.get_by_text(said).first.is_visible() and not look.page.get_by_text(said).first.is_visible()
-    )
-    for one, whole in ((look, 7), (small, 4)):
-        shown = "all => all.filter(e => e.offsetWidth > 0).map(e => e.getBoundingClientRect().right)"
-        ends = one.page.locator(".trials th").evaluate_all(shown)
-        panel = one.page.locator(".trials").bounding_box()
-        assert len(ends) == whole and max(ends) <= panel["x"] + panel["width"]
-    small.page.close()
+    said = look.page.get_by_text(f"{line.searches} searches, {line.actions} actions, {line.plan_s:.1f} s: ")
+    ends = "all => all.filter(e => e.offsetWidth > 0).map(e => e.getBoundingClientRect().right)"
+    heads = look.page.locator(".trials th")
+    assert len(heads.evaluate_all(ends)) == 7 and not said.first.is_visible()
+    try:
+        look.page.set_viewport_size({"width": 390, "height": 844})
+        look.until(said.first.is_visible)
+        panel = look.page.locator(".trials").bounding_box()
+        shown = heads.evaluate_all(ends)
+        assert len(shown) == 4 and max(shown) <= panel["x"] + panel["width"]
+    finally:
+        look.page.set_viewport_size(SIZE)
 
 
 def test_an_address_leads_to_one_trial_state_and_camera(view, evaluation, new_look, server):
