@@ -31,6 +31,7 @@ NEAR = 1e-3  # m
 NEAREST = 0.01  # m, of what a camera sees; viser's own
 FROM_TOP = np.array([0.0, -1e-3, 1.0])
 NARROW = 576  # pixels: up to this width viser puts the controls over the scene's lower part
+UPRIGHT = 1.5  # times as high as wide: a telephone held upright
 UNCOVERED = 0.4  # of the height is left above them
 
 
@@ -238,7 +239,8 @@ class Page:
         if self._seen is None:
             raise ValueError("there is nothing to look at yet: call look_at first")
         corners, direction = self._seen
-        visible = UNCOVERED if width <= NARROW else 1.0
+        # controls lie beside the scene in wider pages, whose scene is narrow, too, but seldom so high
+        visible = UNCOVERED if width <= NARROW and height > UPRIGHT * width else 1.0
         camera = camera_from(direction, corners, width, height, margin=1.12, visible=visible)
         middle = (corners.min(0) + corners.max(0)) / 2
         ahead = camera.axes[2] * float(np.linalg.norm(middle - camera.eye))
