@@ -40,7 +40,7 @@ def test_a_task_of_an_installed_package_is_found_by_name(package):
     assert (task.name, task.phase, len(task.scene.obstacles)) == ("elsewhere", "unconstrained", 2)
     with pytest.raises(
         ValueError,
-        match="expected one of rope_dragging, dual_gripper, .*, watering_2d, toy, elsewhere",
+        match=r"expected one of rope_dragging, dual_gripper, .*, watering_2d, toy, elsewhere",
     ):
         make_task("knots")
     with pytest.raises(ValueError, match="'misnamed' calls itself 'elsewhere'"):
