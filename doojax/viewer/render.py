@@ -49,10 +49,10 @@ def render(path: Path, /, *, out: Path, index: int | None = None) -> None:
         return
     if dataset is not None:
         require_rope(dataset)
-    announce(f"drawing {path}")
     if dataset is not None and out.suffix == ".png" and index is None:
         chosen = most_moving(dataset, ON_SHEET)
         out.parent.mkdir(parents=True, exist_ok=True)
+        announce(f"drawing {path}")
         contact_sheet(dataset, chosen, out)
         what = f"{len(chosen)} of {len(dataset)} trajectories"
     else:
@@ -64,6 +64,7 @@ def render(path: Path, /, *, out: Path, index: int | None = None) -> None:
             return
         film = film_of_trajectory(dataset, chosen_index(dataset, index)) if dataset else film_at(path, index)
         out.parent.mkdir(parents=True, exist_ok=True)
+        announce(f"drawing {path}")
         write(film, out)
         what = film.title
     Console(stderr=True, soft_wrap=True).print(f"drew {what}: {out}", highlight=False, markup=False)

@@ -74,8 +74,8 @@ def evaluate_model(
     else:
         loaded, header = load_model(Path(model), task=task)
     tags = {"task": task, "model": header.kind, "preset": header.about.get("preset", "none")}
-    announce(f"measuring {model} on the test split of {data}")
     test = load_split(dataset, "test")
+    announce(f"measuring {model} on the test split of {data}")
     if header.kind in ("dynamics", "full_dynamics"):
         picture = out / f"{task}_{header.kind}_{phase}.png"
         rows = dynamics_rows(loaded, test, tags | {"phase": phase, "split": "test"}, picture)
