@@ -19,14 +19,13 @@ from rich.console import Console
 
 from doojax.commands import command_line
 from doojax.datasets.collect import collect
-from doojax.datasets.files import MANIFEST
 from doojax.experiments.reports.provenance import digests
 from doojax.experiments.reports.summary import publish_rows, show
 from doojax.experiments.sweeps.adaptation_figures import Measured, draw_weights, study_rows
+from doojax.experiments.sweeps.sources import Counts, all_splits, require_study, seed_of, source_models
 from doojax.experiments.training.deviation import DeviationFigures, deviation_figures
 from doojax.experiments.training.train import training_progress
-from doojax.files import file_digest
-from doojax.keys import check_seed, stream
+from doojax.keys import check_seed
 from doojax.learning.adaptation import (
     METHODS,
     AdaptationConfig,
@@ -43,10 +42,9 @@ from doojax.learning.deviation import (
     deviations,
     fit_deviation,
 )
-from doojax.learning.fit import FitConfig, Report, fit, member
-from doojax.learning.losses import DynamicsProblem
+from doojax.learning.fit import FitConfig, Report, member
 from doojax.learning.pieces import Pieces, chunked, cut, step_errors
-from doojax.learning.presets import deviation_preset, dynamics_preset
+from doojax.learning.presets import deviation_preset
 from doojax.learning.runs import RunDirectory
 from doojax.learning.train import ALPHAS, BIAS
 from doojax.models import CollisionChecker
@@ -67,7 +65,7 @@ CLEAR = 0.02  # m, that the rope's axis and the hands keep from all obstacles wh
 
 
 @dataclass(frozen=True)
-class StudySettings:
+class StudySettings(Counts):
     """How much is collected and how long is trained."""
 
     source_trajectories: int = 1024  # without obstacles, of the source's rope
@@ -75,12 +73,6 @@ class StudySettings:
     source_epochs: int = 60
     epochs: int = 60  # of adaptation
     deviation_epochs: int = 10
-
-    def __post_init__(self):
-        """Refuse too little."""
-        for name, value in vars(self).items():
-            if value < 1:
-                raise ValueError(f"{name} is {value}, expected at least 1")
 
 
 SETTINGS = StudySettings()
@@ -117,17 +109,12 @@ def adaptation_study(
     """
     check_seed(seed)
     command = command_line(adaptation_study, locals())
-    for name, given, known in (("pairs", pairs, PAIRS), ("methods", methods, METHODS)):
-        unknown = sorted(set(given) - set(known))
-        if unknown or not given:
-            raise ValueError(f"{name} are {', '.join(given)}; expected some of {', '.join(known)}")
-    if seeds < 1:
-        raise ValueError(f"seeds is {seeds}, expected at least 1")
+    require_study(methods, seeds, pairs=(pairs, PAIRS))
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
     inputs = {"source": out / "source"}
     collected(inputs["source"], "unconstrained", settings.source_trajectories, OWN, seed, "source")
     with training_progress(console, "source") as report:
-        sources = source_models(out, seeds, settings, seed, report)
+        sources = source_models(out, make_task(TASK), seeds, settings.source_epochs, seed, report)
     found: dict[str, list[Measured]] = {}
     for pair in pairs:
         data = pair_data(out / pair, pair, seeds, settings, seed)
@@ -142,20 +129,6 @@ def adaptation_study(
         draw_weights((publish or out) / f"weights_{pair}.png", of_seeds, f"{TASK}, {pair} rope")
     publish_rows(publish, command=command, seed=seed, rows=rows, inputs=digests(inputs))
     show(rows, json)
-
-
-def source_models(out: Path, seeds: int, settings: StudySettings, seed: int, report: Report) -> Any:
-    """One network for each seed, all trained on the source's data."""
-    dataset, task = open_dataset(out / "source"), make_task(TASK)
-    chosen = dynamics_preset("quick", task)
-    config = replace(chosen.fit, members=seeds, epochs=settings.source_epochs)
-    problem = DynamicsProblem(
-        load_split(dataset, "train"), load_split(dataset, "validation"), chosen.network, True
-    )
-    about = {"network": asdict(chosen.network), "fit": asdict(config), "seed": seed}
-    about["data"] = file_digest(out / "source" / MANIFEST)[:16]
-    run = RunDirectory.open(out / "source_models", about)
-    return fit(problem, config, seed=seed, run=run, report=report)
 
 
 def pair_data(
@@ -258,15 +231,7 @@ def collected(folder: Path, phase: Any, count: int, rope: OtherRope, seed: int, 
         rope=rope,
         out=folder,
     )
-    dataset = open_dataset(folder)
-    parts = [load_split(dataset, split) for split in ("train", "validation", "calibration", "test")]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-
-
-def seed_of(seed: int, *names: str) -> int:
-    """The seed of a purpose: two purposes have the same one by a chance of one in 2^63."""
-    high, low = np.asarray(jax.random.key_data(stream(seed, "adaptation study", *names)), dtype=np.uint64)
-    return int((high << np.uint64(32) | low) >> np.uint64(1))
+    return all_splits(folder)
 
 
 def opened(path: Path, about: dict[str, Any], out: Path, pair: str, number: int) -> RunDirectory:

@@ -19,14 +19,12 @@ from rich.console import Console
 
 from doojax.commands import command_line
 from doojax.datasets.collect import collect
-from doojax.datasets.files import MANIFEST
 from doojax.experiments.reports.provenance import digests
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.statistics import bootstrap, paired_t, permutation, signed_rank
 from doojax.experiments.reports.summary import publish_rows, row, show
-from doojax.experiments.sweeps.adaptation import seed_of
+from doojax.experiments.sweeps.sources import Counts, all_splits, require_study, seed_of, source_models
 from doojax.experiments.training.train import training_progress
-from doojax.files import file_digest
 from doojax.geometry.sdf import signed_distance
 from doojax.keys import check_seed
 from doojax.learning.adaptation import (
@@ -39,10 +37,8 @@ from doojax.learning.adaptation import (
 )
 from doojax.learning.checkpoints import Header
 from doojax.learning.data import Trajectories, load_split, open_dataset
-from doojax.learning.fit import FitConfig, Report, fit, member
-from doojax.learning.losses import DynamicsProblem
+from doojax.learning.fit import FitConfig, Report, member
 from doojax.learning.pieces import Pieces, cut, step_errors
-from doojax.learning.presets import dynamics_preset
 from doojax.learning.provenance import SAW, seen_data
 from doojax.learning.runs import RunDirectory
 from doojax.models.ensemble import Ensemble
@@ -59,7 +55,7 @@ Place = Literal["watering", "watering_2d"]
 
 
 @dataclass(frozen=True)
-class WateringStudySettings:
+class WateringStudySettings(Counts):
     """How much is collected and how long is trained; the thesis has 854 transitions, 130 of them to test."""
 
     source_trajectories: int = 192  # of 6 transitions each
@@ -68,12 +64,6 @@ class WateringStudySettings:
     tested: int = 130  # transitions of these that are alike
     source_epochs: int = 150
     epochs: int = 60  # of adaptation
-
-    def __post_init__(self):
-        """Refuse too little."""
-        for name, value in vars(self).items():
-            if value < 1:
-                raise ValueError(f"{name} is {value}, expected at least 1")
 
 
 SETTINGS = WateringStudySettings()
@@ -110,18 +100,16 @@ def watering_study(
     """
     check_seed(seed)
     command = command_line(watering_study, locals())
-    unknown = sorted(set(methods) - set(METHODS))
-    if unknown or not methods:
-        raise ValueError(f"methods are {', '.join(methods)}; expected some of {', '.join(METHODS)}")
-    if seeds < 1:
-        raise ValueError(f"seeds is {seeds}, expected at least 1")
+    require_study(methods, seeds)
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
     _collected(out / "source", task, "unconstrained", settings.source_trajectories, seed, "source")
     test = _collected(out / "test", task, "constrained", settings.test_trajectories, seed, "test")
     data = _collected(out / "target", task, "constrained", settings.trajectories, seed, "target")
     inputs = {name: out / name for name in ("source", "target", "test")}
     with training_progress(console, "source") as report:
-        sources = _source_models(out, task, seeds, settings, seed, report)
+        sources = source_models(
+            out, make_task(task), seeds, settings.source_epochs, seed, report, prepared=_one_step
+        )
     pieces = cut(test, 1)
     alike = alike_steps(pieces)
     if alike.sum() < settings.tested:
@@ -167,20 +155,6 @@ def alike_steps(pieces: Pieces) -> Bool[np.ndarray, "n"]:
     return np.asarray(one(before, actions, plant))
 
 
-def _source_models(
-    out: Path, task: str, seeds: int, settings: WateringStudySettings, seed: int, report: Report
-) -> Any:
-    """One network for each seed, all trained on the source's data."""
-    dataset = open_dataset(out / "source")
-    chosen = dynamics_preset("quick", make_task(task))
-    config = replace(chosen.fit, members=seeds, epochs=settings.source_epochs)
-    train, validation = (_one_step(load_split(dataset, split)) for split in ("train", "validation"))
-    problem = DynamicsProblem(train, validation, chosen.network, True)
-    about = {"network": asdict(chosen.network), "fit": asdict(config), "seed": seed}
-    about["data"] = file_digest(out / "source" / MANIFEST)[:16]
-    return fit(problem, config, seed=seed, run=RunDirectory.open(out / "source_models", about), report=report)
-
-
 def _adapted(
     out: Path,
     task: str,
@@ -216,9 +190,7 @@ def _adapted(
 def _collected(folder: Path, task: str, phase: Any, count: int, seed: int, *names: str) -> Trajectories:
     """Sound trajectories of a purpose's own."""
     collect(task, phase=phase, trajectories=count, seed=seed_of(seed, "watering", *names), out=folder)
-    dataset = open_dataset(folder)
-    parts = [load_split(dataset, split) for split in ("train", "validation", "calibration", "test")]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    return all_splits(folder)
 
 
 def _one_step(data: Trajectories) -> Trajectories:
