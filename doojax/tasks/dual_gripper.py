@@ -113,12 +113,6 @@ class DualGripper(RopeTask):
             placements=_placements(self.scene) if self.phase == "constrained" else None,
         )
 
-    def simulator(self, engine: str = "auto"):
-        """The scene on an engine; see `Task.simulator`."""
-        from doojax.simulation.engines import make_simulator
-
-        return make_simulator(self.scene, self.start(), engine)
-
     def sample_goal(self, key: Array, obstacles: Obstacles) -> Goal:
         """A point for the midpoint, above the table, at least the threshold from every obstacle."""
         region = Box((0.6, -0.4, 0.6), (1.1, 0.4, 0.85))

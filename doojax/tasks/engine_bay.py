@@ -176,12 +176,6 @@ class EngineBay(RopeTask):
         alone = RandomStart(self._bank, scene=self.scene, place_rope=place, placements=None)
         return BayStart(alone, *bay_poses()) if constrained else alone
 
-    def simulator(self, engine: str = "auto"):
-        """The scene on an engine; see `Task.simulator`."""
-        from doojax.simulation.engines import make_simulator
-
-        return make_simulator(self.scene, self.start(), engine)
-
     def sample_goal(self, key: Array, obstacles: Obstacles) -> Goal:
         """A place under a tab for any point of the rope's middle.
 

@@ -1,6 +1,7 @@
 """Free hands that hold a rope or push something: their actions, and goals for rope and hands."""
 
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -11,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from doojax.geometry.box import Box
 from doojax.goals import Goal, goal_of
 from doojax.simulation.scenes import Scene
+from doojax.simulation.state import SimState, Simulator
 from doojax.tasks.base import Task
 from doojax.types import RopeState, State
 
@@ -129,3 +131,14 @@ class RopeTask:
         held = [hand.link + hand.end / 2 for hand in self.scene.grippers if hand.link is not None]
         place = (np.array([*range(links), *held]) + 0.5) * self.scene.rope_part.parameters.length / links
         return np.abs(place[:, None] - place)
+
+    @abstractmethod
+    def start(self) -> Callable[[Array], SimState]:
+        """The function that draws a start from a key."""
+        ...
+
+    def simulator(self, engine: str = "auto") -> Simulator:
+        """The scene on an engine; see `Task.simulator`."""
+        from doojax.simulation.engines import make_simulator
+
+        return make_simulator(self.scene, self.start(), engine)

@@ -115,12 +115,6 @@ class RopeDragging(RopeTask):
             placements=_placements(self.scene) if constrained else None,
         )
 
-    def simulator(self, engine: str = "auto"):
-        """The scene on an engine; see `Task.simulator`."""
-        from doojax.simulation.engines import make_simulator
-
-        return make_simulator(self.scene, self.start(), engine)
-
     def sample_goal(self, key: Array, obstacles: Obstacles) -> Goal:
         """A point for the tail, in +-0.7 m, at least twice the threshold from every obstacle."""
         region = Box((-0.7, -0.7, RADIUS), (0.7, 0.7, RADIUS))

@@ -161,12 +161,6 @@ class TwoHands(RopeTask):
             placements=placements_of(self.scene, self.places) if constrained else None,
         )
 
-    def simulator(self, engine: str = "auto"):
-        """The scene on an engine; see `Task.simulator`."""
-        from doojax.simulation.engines import make_simulator
-
-        return make_simulator(self.scene, self.start(), engine)
-
     def sample_goal(self, key: Array, obstacles: Obstacles) -> Goal:
         """A place for the task's point, farther from every obstacle than the threshold."""
 
