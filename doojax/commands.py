@@ -129,17 +129,6 @@ COMMANDS: Commands = {
 }
 
 
-def first_name(words: Sequence[str], commands: Commands) -> tuple[str, list[str]]:
-    """The command that words begin with, of two words if there is one of both, and what follows it.
-
-    It need not be one of ``commands``; "" where there are no words.
-    """
-    for length in (2, 1):
-        if (name := " ".join(words[:length])) in commands:
-            return name, list(words[length:])
-    return "".join(words[:1]), list(words[1:])
-
-
 def load(target: str) -> Callable[..., Any]:
     """The function that "module:function" names."""
     module, _, function = target.partition(":")
@@ -163,7 +152,7 @@ def names_of(function: Callable[..., Any], commands: Commands = COMMANDS) -> tup
     def found(table: Commands, names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
         for name, (target, _) in table.items():
             if target == wanted:
-                yield (*names, *name.split())
+                yield (*names, name)
             elif not isinstance(target, str):
                 yield from found(target, (*names, name))
 
@@ -229,10 +218,9 @@ def _parsed(words: Sequence[str]) -> tuple[Callable[..., Any], dict[str, Any]]:
     target: str | Commands = COMMANDS
     rest = list(words[1:])
     while not isinstance(target, str):
-        name, rest = first_name(rest, target)
-        if name not in target:
+        if not rest or rest[0] not in target:
             raise ValueError(f"{shlex.join(words)!r} names no command of: {', '.join(target)}")
-        target = target[name][0]
+        target = target[rest.pop(0)][0]
     function = load(target)
 
     @functools.wraps(function)
