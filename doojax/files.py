@@ -44,6 +44,17 @@ def write_whole(path: Path, text: str) -> None:
         file.write(text.encode())
 
 
+def append_line(file: Path, text: str) -> None:
+    """Add a line to a file; one that a kill cut off is taken away first, or none after it could be read."""
+    with room_explained(file.parent), file.open("a+b") as stream:
+        if size := stream.seek(0, os.SEEK_END):
+            stream.seek(size - 1)
+            if stream.read(1) != b"\n":
+                stream.seek(0)
+                stream.truncate(stream.read().rfind(b"\n") + 1)
+        stream.write(text.encode() + b"\n")
+
+
 def flush(path: Path) -> None:
     """Have a file's bytes, or a folder's entries, reach the disk (fsync), where the file system can."""
     try:

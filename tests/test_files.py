@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from doojax import files
-from doojax.files import alone_in, claim, flush, write_whole
+from doojax.files import alone_in, append_line, claim, flush, write_whole
 from doojax.learning.runs import RunDirectory
 
 HOLD = """
@@ -76,6 +76,23 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monke
         write_whole(tmp_path / "note.txt", "new")
     assert [path.name for path in tmp_path.iterdir()] == ["note.txt"]
     assert (tmp_path / "note.txt").read_text() == "old"
+
+
+@pytest.mark.parametrize("cut_off", ["", "hal", "a half line, é"])
+def test_a_line_is_added_after_whole_ones(tmp_path, cut_off):
+    file = tmp_path / "lines"
+    append_line(file, "one")
+    append_line(file, "two, é")
+    with file.open("a", encoding="utf-8") as stream:
+        stream.write(cut_off)
+    append_line(file, "three")
+    assert file.read_text(encoding="utf-8").splitlines() == ["one", "two, é", "three"]
+
+
+def test_of_a_file_that_holds_half_a_line_alone_nothing_stays(tmp_path):
+    (tmp_path / "lines").write_text("half")
+    append_line(tmp_path / "lines", "whole")
+    assert (tmp_path / "lines").read_text() == "whole\n"
 
 
 def test_a_folder_is_begun_gone_on_with_or_refused(tmp_path):

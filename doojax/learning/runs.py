@@ -11,7 +11,7 @@ import jax
 from jaxtyping import PyTree
 
 import doojax
-from doojax.files import claim, room_explained, write_whole
+from doojax.files import append_line, claim, write_whole
 from doojax.learning.checkpoints import MODEL, Header, read_json_line, read_leaves, save_model, write_leaves
 from doojax.reading import checked, parsed, read_lines
 
@@ -64,8 +64,7 @@ class RunDirectory:
 
     def log(self, record: dict[str, Any]) -> None:
         """Append one epoch's figures."""
-        with room_explained(self.path), (self.path / METRICS).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(record) + "\n")
+        append_line(self.path / METRICS, json.dumps(record))
 
     def save(self, epoch: int, state: PyTree) -> None:
         """Keep the state after an epoch, in place of the one before."""

@@ -14,7 +14,7 @@ from doojax.datasets import DatasetWriter, Field
 from doojax.experiments.trials.outcomes import CONFIG, METHOD
 from doojax.experiments.trials.record_files import save_record
 from doojax.experiments.trials.records import Event, Grid, Look, PlanRecord, PredictionRecord, TrialRecord
-from doojax.experiments.trials.trial_list import line_of, note_trials
+from doojax.experiments.trials.trial_list import line_of, note_trial
 from doojax.geometry import signed_distance
 from doojax.types import Obstacles, ShapeKind
 
@@ -230,7 +230,7 @@ def write_evaluation(folder: Path, scenes: int, methods: Sequence[str]) -> None:
                 record = replace(record, reached=False, events=end)
             record = replace(record, method=method, about={"final_error_m": 0.01 * (scene + 1)})
             save_record(folder / method / f"{scene:05d}.npz", record)
-            note_trials(folder / method, [line_of(record, scene)])
+            note_trial(folder / method, line_of(record, scene))
     (folder / CONFIG).write_text('{"task": "rope_dragging", "seed": 0}')
 
 

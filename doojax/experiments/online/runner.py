@@ -23,7 +23,7 @@ from doojax.experiments.trials.record_files import load_record, save_record
 from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.scenes import SceneSet, draw_scenes
 from doojax.experiments.trials.setting import Trials, TrialSettings
-from doojax.files import alone_in, room_explained, write_whole
+from doojax.files import alone_in, append_line
 from doojax.learning.runs import RunDirectory
 from doojax.planning import RrtSettings
 from doojax.reading import read_lines
@@ -171,7 +171,7 @@ def _iterated(
         latest = evaluated(folder, setting, learner, lesson.known, seed, iteration, tell)
     figures = {"success_training": reached, "success_held_out": latest.rate, **new.figures, **lesson.figures}
     seconds = Seconds(iteration, planned - begun, learnt - planned, time.perf_counter() - learnt)
-    _append(folder / SECONDS, seconds)
+    append_line(folder / SECONDS, json.dumps(asdict(seconds)))
     run.log({"epoch": iteration, **{name: round(float(value), 6) for name, value in figures.items()}})
     for text in (*new.told, *lesson.told):
         tell(f"iteration {iteration}: {text}")
@@ -203,7 +203,7 @@ def evaluated(
         save_record(folder / f"evaluation_{iteration:03d}" / f"{number:05d}.npz", record)
     errors = [round(float(record.about["final_error_m"]), 6) for record in records]
     one = Evaluation(iteration, [bool(record.reached) for record in records], errors)
-    _append(folder / EVALUATIONS, one)
+    append_line(folder / EVALUATIONS, json.dumps(asdict(one)))
     tell(f"after iteration {iteration}: {sum(one.reached)} of {len(one.reached)} held-out goals reached")
     return one
 
@@ -251,12 +251,3 @@ def _records(folder: Path, iteration: int, setting: Setting) -> Sequence[TrialRe
     files = [iteration_folder(folder, iteration) / f"{n:05d}.npz" for n in range(setting.episodes)]
     found = [load_record(file) for file in files]
     return [record for record in found if isinstance(record, TrialRecord)]
-
-
-def _append(file: Path, line: Any) -> None:
-    """Add a line; one that was cut off by a kill is taken away first."""
-    text = file.read_text(encoding="utf-8") if file.exists() else ""
-    if not text.endswith("\n") and text:
-        write_whole(file, text[: text.rfind("\n") + 1])
-    with room_explained(file), file.open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(asdict(line)) + "\n")

@@ -9,7 +9,7 @@ from doojax.datasets.files import MANIFEST
 from doojax.experiments.reports.checks import check_run
 from doojax.experiments.reports.machine import this_run
 from doojax.experiments.reports.rows import Run
-from doojax.files import file_digest, room_explained
+from doojax.files import append_line, file_digest
 from doojax.learning.checkpoints import MODEL
 
 COMMANDS = "commands.jsonl"
@@ -40,8 +40,7 @@ def note_command(folder: Path, command: str, seed: int | None, inputs: Mapping[s
     if any((run.command, run.inputs) == (command, inputs) for run in noted_commands(folder)):
         return
     run = replace(this_run(), command=command, seed=seed, inputs=dict(inputs))
-    with room_explained(folder), (folder / COMMANDS).open("a", encoding="utf-8") as file:
-        file.write(json.dumps(asdict(run), ensure_ascii=False) + "\n")
+    append_line(folder / COMMANDS, json.dumps(asdict(run), ensure_ascii=False))
 
 
 def noted_commands(folder: Path) -> list[Run]:

@@ -32,8 +32,8 @@ from doojax.experiments.trials.scenes import SceneSet, load_scenes, save_scenes,
 from doojax.experiments.trials.seen import Seen, check_unseen, warning_of
 from doojax.experiments.trials.setting import Method, Trials, TrialSettings
 from doojax.experiments.trials.trial import CRASHED, crashed, run_trials
-from doojax.experiments.trials.trial_list import line_of, note_trials
-from doojax.files import alone_in, claim, file_digest
+from doojax.experiments.trials.trial_list import line_of, note_trial
+from doojax.files import alone_in, append_line, claim, file_digest
 from doojax.keys import check_seed
 from doojax.planning import RrtSettings, require_reachable
 from doojax.simulation.engines import resolve_engine
@@ -172,7 +172,7 @@ def evaluate(
                     for i in fresh:
                         record = records[numbers.index(i)]
                         save_record(record_file(out, name, i), record)
-                        note_trials(out / name, [line_of(record, i)])
+                        note_trial(out / name, line_of(record, i))
                         reached += record.reached
                         broken += [record.end] if record.end.startswith(CRASHED) else []
                     _note_seconds(out / name, len(fresh), time.perf_counter() - begun)
@@ -256,5 +256,4 @@ def attempted(
 
 
 def _note_seconds(folder: Path, trials: int, seconds: float) -> None:
-    with (folder / SECONDS).open("a", encoding="utf-8") as file:
-        file.write(json.dumps({"trials": trials, "seconds": round(seconds, 3)}) + "\n")
+    append_line(folder / SECONDS, json.dumps({"trials": trials, "seconds": round(seconds, 3)}))

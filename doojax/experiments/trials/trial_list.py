@@ -13,7 +13,7 @@ from msgspec import Meta
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.why import why
-from doojax.files import room_explained
+from doojax.files import append_line
 from doojax.reading import read_lines
 
 LIST = "trials.jsonl"
@@ -54,10 +54,9 @@ def line_of(record: TrialRecord, trial: int) -> TrialLine:
     )
 
 
-def note_trials(folder: Path, lines: list[TrialLine]) -> None:
-    """Append trials to the list in a method's folder."""
-    with room_explained(folder), (folder / LIST).open("a", encoding="utf-8") as file:
-        file.writelines(json.dumps(asdict(line), allow_nan=False) + "\n" for line in lines)
+def note_trial(folder: Path, line: TrialLine) -> None:
+    """Append a trial to the list in a method's folder."""
+    append_line(folder / LIST, json.dumps(asdict(line), allow_nan=False))
 
 
 def list_trials(folder: Path) -> Iterator[TrialLine]:
