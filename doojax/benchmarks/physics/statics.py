@@ -91,9 +91,10 @@ def cantilevers(settings: Settings, engine: str, links: tuple[int, ...] = LINKS)
             yield Case(engine, settings).found(
                 "cantilever_sag", held[0, 2] - own[-1, 2], exact, "m", tags=tags
             )
-    for stiffness in STIFF if engine == "mujoco" else ():
+    for stiffness in STIFF if engine == "mujoco" else STIFF[:1]:
         yield vibration(settings, engine, stiffness)
-        yield vibration(replace(settings, timestep=1e-3), engine, stiffness)
+        if engine == "mujoco":
+            yield vibration(replace(settings, timestep=1e-3), engine, stiffness)
 
 
 def vibration(settings: Settings, engine: str, stiffness: float, links: int = 25) -> Finding:
