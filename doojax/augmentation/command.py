@@ -14,6 +14,7 @@ from jaxtyping import Array
 from rich.console import Console
 
 from doojax.augmentation.examples import Augmented, Bounds, Examples, Setting, augment
+from doojax.augmentation.objectives import Weights
 from doojax.augmentation.projection import ProjectionConfig
 from doojax.augmentation.settings import setting_of
 from doojax.datasets.files import MANIFEST
@@ -68,6 +69,7 @@ def augment_dataset(
     steps: int | None = None,
     bounds: Bounds = Bounds(),  # noqa: B008
     projection: ProjectionConfig = ProjectionConfig(),  # noqa: B008
+    weights: Weights = Weights(),  # noqa: B008
     seed: int = 0,
 ) -> None:
     """Write a data set beside augmentations of it: moved rigidly to where they touch as they did.
@@ -85,6 +87,7 @@ def augment_dataset(
             transitions, and by default they stay whole.
         bounds: between which transforms are drawn.
         projection: how it searches, and what it accepts.
+        weights: of the objective's terms. One of 0 leaves a term's gradient out; its check still holds.
         seed: of the transforms.
 
     Raises:
@@ -107,6 +110,7 @@ def augment_dataset(
             "steps": steps,
             "bounds": asdict(bounds),
             "projection": asdict(projection),
+            "weights": asdict(weights),
             "seed": seed,
         },
     }
@@ -122,7 +126,7 @@ def augment_dataset(
             bar = progress.add_task(f"augmenting {task.name}", total=total, note="")
             for shard in missing:
                 rows = np.array(writer.manifest.rows(shard))
-                arrays = _shard(source, task, setting, projection, plan, rows, seed)
+                arrays = _shard(source, task, setting, projection, weights, plan, rows, seed)
                 writer.write(shard, arrays)
                 counts.update(arrays["verdict"].tolist())
                 tried = sum(counts.values()) - counts[Verdict.ORIGINAL]
@@ -192,6 +196,7 @@ def _shard(
     task: Task,
     setting: Setting,
     projection: ProjectionConfig,
+    weights: Weights,
     plan: _Plan,
     rows: np.ndarray,
     seed: int,
@@ -223,7 +228,7 @@ def _shard(
         obstacles=obstacles,
         sound=(batch["faults"] == 0).all(1),
     )
-    found = augment(numbered(stream(seed, "augment"), rows[full]), examples, setting, projection)
+    found = augment(numbered(stream(seed, "augment"), rows[full]), examples, setting, projection, weights)
     starts = SimState(
         qpos=batch["initial_qpos"],
         qvel=batch["initial_qvel"],

@@ -9,6 +9,7 @@ touches has to touch, no deeper than before. `Bands` say so for every point; wit
 inside and ``(0, inf)`` for what is not, the term is the thesis's.
 """
 
+from dataclasses import asdict, astuple, dataclass
 from typing import NamedTuple
 
 import equinox as eqx
@@ -38,7 +39,8 @@ class Bands(eqx.Module):
         return Bands(self.low + margin, self.high - margin)
 
 
-class Weights(NamedTuple):
+@dataclass(frozen=True)
+class Weights:
     """Of the terms, with the released code's values (for rope and pushing alike)."""
 
     box: float = 0.05
@@ -46,6 +48,12 @@ class Weights(NamedTuple):
     occupancy: float = 1.0
     distance: float = 0.1
     robot: float = 1.0
+
+    def __post_init__(self):
+        """Refuse what would seek out what is bad."""
+        for name, weight in asdict(self).items():
+            if not weight >= 0:
+                raise ValueError(f"the weight {name} is {weight}, expected at least 0")
 
 
 class Terms(NamedTuple):
@@ -60,7 +68,7 @@ class Terms(NamedTuple):
     def total(self, weights: Weights) -> Float[Array, ""]:
         """The weighted sum (3.8)."""
         return sum(
-            (weight * term for weight, term in zip(weights, self, strict=True)),
+            (weight * term for weight, term in zip(astuple(weights), self, strict=True)),
             start=jnp.zeros_like(self.box),
         )
 

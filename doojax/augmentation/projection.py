@@ -107,7 +107,6 @@ class _Judged(NamedTuple):
 def objective(
     problem: Problem,
     config: ProjectionConfig,
-    weights: Weights = Weights(),  # noqa: B008
     validity: Term = any_transform,
     robot: Term = free_hands,
 ) -> Callable[[Float[Array, "6"]], tuple[Terms, Float[Array, "5"]]]:
@@ -165,7 +164,7 @@ def project(
         `Verdict.ACCEPTED`, or the first check that fails at the best transform of the last round, or
         `Verdict.NO_PROGRESS`. Within a round, the objective at its end is never above that at its beginning.
     """
-    evaluate = objective(problem, config, weights, validity, robot)
+    evaluate = objective(problem, config, validity, robot)
     free, scale = problem.high > problem.low, problem.scale
 
     def judged(parameters: Array) -> tuple[Array, _Judged]:

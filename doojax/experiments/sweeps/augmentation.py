@@ -5,7 +5,6 @@ measured on the same trajectories that none has seen. All networks take equally 
 do not mean more training. Seeds are pairs: same trajectories, another method.
 """
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 
-from doojax.augmentation import Examples, setting_of, usual
-from doojax.augmentation.command import augment_dataset
-from doojax.augmentation.examples import drawn, transformed
 from doojax.commands import command_line
 from doojax.datasets import Dataset
 from doojax.datasets.collect import collect
@@ -25,21 +21,18 @@ from doojax.datasets.files import MANIFEST
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.statistics import bootstrap, paired_t, permutation
 from doojax.experiments.reports.summary import publish_rows, row, show
+from doojax.experiments.sweeps.pushing_sets import METHODS, PushingSet, learned_vaes, made, vae_fit
 from doojax.experiments.training.train import training_progress
 from doojax.files import file_digest
-from doojax.keys import numbered, stream
 from doojax.learning.fit import fit, member
 from doojax.learning.presets import PresetName
 from doojax.learning.pushing import PropNetProblem, PushingData, measured, pushing_preset, stay_error
 from doojax.learning.runs import RunDirectory
 from doojax.tasks import make_task
-from doojax.types import Verdict
 
 TASK = "planar_pushing"
-METHODS = ("none", "augmentation", "noise", "random")
 VALIDATION, TEST = 16, 64  # trajectories
 STATES = 50  # of a trajectory
-PLACE_NOISE, MOVE_NOISE = 1e-3, 1e-4  # m, standard deviations
 
 
 def augmentation_study(
@@ -61,8 +54,9 @@ def augmentation_study(
 
     Args:
         out: the folder of data and of the training run; new, empty, or the same study unfinished.
-        methods: none, augmentation (moved rigidly to where it is valid), noise (Gaussian), random (moved
-            rigidly, valid or not).
+        methods: none, augmentation (moved rigidly to where it is valid), the same without the gradient of one
+            term (no_occupancy, no_distance), noise (Gaussian), random (moved rigidly, valid or not), vae (a
+            variational autoencoder of each set).
         seeds: sets of trajectories, and networks for each method.
         trajectories: of a set.
         copies: made of each trajectory by a method that makes any; of augmentations, those accepted count.
@@ -88,22 +82,28 @@ def augmentation_study(
     config = replace(chosen.fit, members=len(methods) * seeds, epochs=epochs or chosen.fit.epochs)
     # others' seeds than those of the sets, which are 2 n + 2: no trajectory is in two of them
     held_out = _collected(out / "held_out", VALIDATION + TEST, 2 * seed + 1)
-    parts, files = [], {"held out": out / "held_out"}
-    for number in range(seeds):
-        folder = out / f"set{number}"
-        data = _collected(folder, trajectories, 2 * (seed * seeds + number) + 2)
-        files[f"set {number}"] = folder
-        for method in methods:
-            parts.append(_made(method, folder, data, task, copies, seed, number))
-    counts = np.array([len(part) for part in parts])
-    train = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
     every = PushingData.of(held_out.states(np.arange(len(held_out))))
     validation, test = (
         jax.tree.map(lambda leaf, rows=rows: leaf[rows], every)
         for rows in (slice(0, VALIDATION), slice(VALIDATION, None))
     )
-    problem = PropNetProblem(train, validation, chosen.network, chosen.window, chosen.steps)
+    sets, files = [], {"held out": out / "held_out"}
+    for number in range(seeds):
+        folder = out / f"set{number}"
+        data = _collected(folder, trajectories, 2 * (seed * seeds + number) + 2)
+        sets.append(PushingSet(folder, data, number))
+        files[f"set {number}"] = folder
     digests = {name: file_digest(path / MANIFEST)[:16] for name, path in files.items()}
+    vaes = None
+    if "vae" in methods:
+        run = RunDirectory.open(out / "vae", {"fit": asdict(vae_fit(seeds)), "inputs": digests})
+        with training_progress(console, "autoencoders") as report:
+            vaes = learned_vaes(sets, validation, run, report, seed)
+    by_method = [made(method, sets, task, copies, seed, vaes) for method in methods]
+    parts = [part for parts in zip(*by_method, strict=True) for part in parts]
+    counts = np.array([len(part) for part in parts])
+    train = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    problem = PropNetProblem(train, validation, chosen.network, chosen.window, chosen.steps)
     settings = {"network": asdict(chosen.network), "fit": asdict(config), "window": chosen.window}
     settings |= {"steps": chosen.steps, "methods": list(methods), "seeds": seeds, "seed": seed}
     run = RunDirectory.open(out / "training", {**settings, "copies": copies, "inputs": digests})
@@ -122,53 +122,6 @@ def augmentation_study(
 def _collected(folder: Path, count: int, seed: int) -> Dataset:
     collect(TASK, trajectories=count, states=STATES, engine="mujoco", seed=seed, out=folder)
     return Dataset.open(folder)
-
-
-def _made(
-    method: str, folder: Path, data: Dataset, task: Any, copies: int, seed: int, number: int
-) -> PushingData:
-    """What a method makes of a set of trajectories: these themselves, too."""
-    own = PushingData.of(data.states(np.arange(len(data))))
-    key = stream(seed, "augmentation study", method, str(number))
-    if method == "none":
-        return own
-    if method == "augmentation":
-        path, (bounds, projection) = folder.with_name(f"{folder.name}_augmented"), usual(task)
-        augment_dataset(
-            folder, out=path, copies=copies, bounds=bounds, projection=projection, seed=2 * seed + 1
-        )
-        augmented = Dataset.open(path)
-        kept = np.flatnonzero(np.isin(augmented["verdict"][:], (Verdict.ORIGINAL, Verdict.ACCEPTED)))
-        return PushingData.of(augmented.states(kept))
-    repeated = jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, axis=0), own)
-    makers: dict[str, Callable[[], PushingData]] = {
-        "noise": lambda: _noisy(repeated, key),
-        "random": lambda: _moved(data, task, copies, key),
-    }
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), own, makers[method]())
-
-
-def _noisy(data: PushingData, key: jax.Array) -> PushingData:
-    """Independent Gaussian noise on every place and every motion, as in the released code."""
-    place_key, move_key = jax.random.split(key)
-    return PushingData(
-        data.places + PLACE_NOISE * jax.random.normal(place_key, data.places.shape),
-        data.moves + MOVE_NOISE * jax.random.normal(move_key, data.moves.shape),
-    )
-
-
-def _moved(data: Dataset, task: Any, copies: int, key: jax.Array) -> PushingData:
-    """What moves, moved by the transforms that augmentation draws, whatever it then goes through."""
-    rows = np.repeat(np.arange(len(data)), copies)
-    setting = setting_of(task, usual(task)[0])
-    examples = Examples(
-        states=data.states(rows),
-        actions=jnp.asarray(data["actions"][rows]),
-        obstacles=None,
-        sound=jnp.ones(len(rows), dtype=bool),
-    )
-    targets = jax.vmap(lambda one: drawn(one, setting.bounds))(numbered(key, range(len(rows))))
-    return PushingData.of(transformed(examples, setting, targets)[0])
 
 
 def _rows(
