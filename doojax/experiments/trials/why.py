@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +16,8 @@ from doojax.experiments.trials.touching import gaps, obstacle_names, touched
 
 SEARCHED = re.compile(r"(solved|exhausted|stuck), ([\d.]+) cm from the goal; (\d+) of (\d+) extensions")
 TELLING = 0.1  # of a plan's largest error: where that much has come, it was left
+BESIDE = 0.25  # of what a plan misses the goal by: a lesser error explains nothing
+SWEPT = 4  # parts of a planned step, at whose ends the plan's rope is looked at
 UNSTABLE = "the simulation became unstable"
 MOST_NAMED = 2  # obstacles
 
@@ -27,8 +30,11 @@ class Departure:
     error: float  # m there, root mean square over the rope's points
     largest: float  # m, of all states until the plan was given up
     score: float  # of the step that led there; NaN where it has none
-    touching: tuple[str, ...]  # obstacles
-    crossed: tuple[str, ...]  # obstacles that the plan's own rope is inside of, there or a step later
+    touching: tuple[str, ...]  # obstacles, there; where there are none, those of the state before
+    still: bool  # touching them there, not only at the state before
+    crossed: tuple[
+        str, ...
+    ]  # obstacles that the plan's own rope passes through on the way there or a step later
 
 
 @dataclass(frozen=True)
@@ -62,15 +68,19 @@ def explained(record: TrialRecord) -> str:
     searches = [_search(record, index) for index in range(len(record.plans))]
     if end.startswith("the plan was not to be executed"):
         return f"{end}; it ends {_cm(searches[-1].missing)} from the goal"
-    found = [one for one in searches if one.found]
     broke = end == UNSTABLE
     last = len(record.points) - 1 if broke else len(record.points)  # a broken state is where nothing is
-    left = [one.departure for one in searches if one.departure is not None and one.departure.state < last]
+    left = [one for one in searches if one.departure is not None and one.departure.state < last]
+    found, found_left = (sum(one.found for one in some) for some in (searches, left))
     parts = _of_searches(record, searches)
-    if 2 * len(found) >= len(searches) and left:  # there were plans to the goal: what came of them counts
-        parts.insert(0, _of_departures(left, record.method, len(searches)))
-    elif left:
-        parts.append(_of_departures(left, record.method, len(searches)))
+    if 2 * found >= len(searches) and left:  # there were plans to the goal: what came of them counts
+        parts.insert(0, _of_departures(_departures(left), record.method, len(searches)))
+    elif found_left:  # what came of the others would not have led there
+        some = _departures([one for one in left if one.found])
+        parts.append(_of_departures(some, record.method, found, " that led to the goal"))
+    elif any(one.departure and not one.departure.largest < BESIDE * one.missing for one in left):
+        some = sorted(_departures(left), key=lambda one: one.largest, reverse=True)
+        parts.append(_of_departures(some, record.method, len(searches), which="farthest"))
     if broke:
         return "; ".join([f"{end} at state {last}", *parts])
     if not parts:
@@ -88,30 +98,56 @@ def searched(record: TrialRecord) -> list[tuple[str, float, int, int]]:
 
 
 def departure(record: TrialRecord, index: int) -> Departure | None:
-    """Where execution left a plan: where a tenth of its largest error has come, if that is no trifle.
+    """Where execution left a plan: from there on to the largest error, no error is below a tenth of that.
 
-    A trifle is an error below the threshold of the model error; where the record has none, below half the
-    goal's radius, as what a trial remembers of refuted steps.
+    What was made good before does not count, nor does a trifle: an error below the threshold of the model
+    error; where the record has none, below half the goal's radius, as what a trial remembers of refuted
+    steps.
     """
     error = execution_errors(record)[index]
     threshold = record.about.get("error_threshold_m") or record.goal_radius / 2
     error = np.where(np.isfinite(error), error, np.inf)
     if not len(error) or error.max() < threshold:
         return None
-    at = int(np.argmax(error >= max(threshold, TELLING * error[np.isfinite(error)].max(initial=0))))
+    telling = max(threshold, TELLING * error[np.isfinite(error)].max(initial=0))
+    at = int(np.flatnonzero(error[: np.argmax(error)] < telling).max(initial=-1)) + 1
     plan, names = record.plans[index], obstacle_names(record.obstacles)
     state, node = plan.step + at + 1, int(plan.path[at + 1])
-    real = gaps(record.obstacles, record.points[state], record.grippers[state], record.look)
-    soon = plan.path[at + 1 : at + 3]
-    planned = [gaps(record.obstacles, plan.points[n], plan.grippers[n], record.look) for n in soon]
+    now, before = (
+        touched(gaps(record.obstacles, record.points[i], record.grippers[i], record.look), names)
+        for i in (state, state - 1)
+    )
+    touching = now or before
+    crossed = sorted(_crossed(record, plan, at), key=lambda name: name not in touching)
     return Departure(
         state=state,
         error=float(error[at]),
         largest=float(error.max()),
         score=float(plan.score[node]) if plan.score is not None else np.nan,
-        touching=tuple(touched(real, names)[:MOST_NAMED]),
-        crossed=tuple(touched(np.min(planned, axis=0), names, within=-record.look.rope_radius)[:MOST_NAMED]),
+        touching=tuple(touching[:MOST_NAMED]),
+        still=bool(now),
+        crossed=tuple(crossed),
     )
+
+
+def _crossed(record: TrialRecord, plan: PlanRecord, at: int) -> list[str]:
+    """What the axis of a plan's rope comes to lie in, from a step to the end of the next, the deepest first.
+
+    Between two states every point goes straight: what the rope is on one side of before, and on the other
+    after, was passed through.
+    """
+    nodes = plan.path[at : at + 3]
+    part = np.linspace(0, 1, SWEPT, endpoint=False)[:, None, None, None]
+    swept = []
+    for bodies in (plan.points[nodes], plan.grippers[nodes]):
+        between = bodies[:-1] + part * np.diff(bodies, axis=0)
+        swept.append(np.concatenate([between.swapaxes(0, 1).reshape(-1, *bodies.shape[1:]), bodies[-1:]]))
+    root = plan.path[0]  # which was executed, so that what it lies in a little stopped nothing
+    ropes = [(plan.points[root], plan.grippers[root]), *zip(*swept, strict=True)]
+    before, *after = [gaps(record.obstacles, *rope, record.look) for rope in ropes]
+    deepest, radius = np.min(after, axis=0), record.look.rope_radius
+    deeper = np.where(deepest < before - radius, deepest, np.inf)
+    return touched(deeper, obstacle_names(record.obstacles), within=-radius)
 
 
 def _search(record: TrialRecord, index: int) -> Search:
@@ -145,28 +181,60 @@ def _of_success(record: TrialRecord) -> str:
     left = [departure(record, index) for index in range(count - 1)]
     found = [one for one in left if one is not None]
     text = f"plan {count} led to the goal"
-    return f"{text}; before it {_of_departures(found, record.method, count)}" if found else text
+    return f"{text}; before it {_of_departures(found, record.method, count - 1)}" if found else text
 
 
-def _of_departures(left: Sequence[Departure], method: str, searches: int) -> str:
-    """Where plans were left: the first in full, and what was touched in most of them."""
-    first = left[0]
-    said = score_said(method, first.score)
-    text = f"left the plan by {_cm(first.error)} at state {first.state}"
+def _departures(searches: Sequence[Search]) -> list[Departure]:
+    return [one.departure for one in searches if one.departure is not None]
+
+
+def _of_departures(
+    left: Sequence[Departure],
+    method: str,
+    plans: int,
+    of: str = "",
+    which: Literal["first", "farthest"] = "first",
+) -> str:
+    """Where plans were left: one of them in full, how many go through something, what was mostly touched.
+
+    Args:
+        left: one a plan; the first of them is told in full.
+        method: that made the plans.
+        plans: how many there were.
+        of: which plans, such as " that led to the goal".
+        which: what the first of ``left`` is.
+    """
+    one = left[0]
+    said = score_said(method, one.score)
+    touching = _listed(one.touching) if one.touching else "nothing"
+    text = f"by {_cm(one.error)} at state {one.state}"
     text += f", where {said}" if said else ""
-    text += f", touching {_listed(first.touching) if first.touching else 'nothing'}"
-    if first.crossed and set(first.crossed) == set(first.touching):
-        text += f" (the plan goes through {'it' if len(first.crossed) == 1 else 'them'})"
-    elif first.crossed:
-        text += f" (the plan goes through {_listed(first.crossed)})"
-    if first.largest >= 2 * first.error and np.isfinite(first.largest):
-        text += f", and by {_cm(first.largest)} later"
+    text += f", touching {touching}" if one.still or not one.touching else f", having just touched {touching}"
+    text += _of_crossed(one)
+    if one.largest >= 2 * one.error and np.isfinite(one.largest):
+        text += f", and by {_cm(one.largest)} later"
+    if plans == 1:
+        return f"the executed rope left the plan{of} {text}"
     if len(left) == 1:
-        return f"the executed rope {text}"
-    touches = Counter(name for one in left for name in one.touching)
+        return f"the executed rope left one of {plans} plans{of}, {text}"
+    through = sum(bool(each.crossed) for each in left)
+    often = "all" if through == len(left) else f"{through}"
+    often = f", {often} of which go through obstacles" if 2 * through >= len(left) else ""
+    touches = Counter(name for each in left for name in each.touching)
     most, count = touches.most_common(1)[0] if touches else ("", 0)
-    often = f", {count} times touching {most}" if count > 1 and 2 * count >= len(left) else ""
-    return f"the executed rope left {len(left)} of {searches} plans{often}; it first {text}"
+    often += f", {count} times touching {most}" if count > 1 and 2 * count >= len(left) else ""
+    full = f"it first left the plan {text}" if which == "first" else f"it left one farthest, {text}"
+    return f"the executed rope left {len(left)} of {plans} plans{of}{often}; {full}"
+
+
+def _of_crossed(one: Departure) -> str:
+    """What the plan goes through, in brackets: of what is touched, or anything else where that is none."""
+    named = [name for name in one.crossed if name in one.touching] or one.crossed[:MOST_NAMED]
+    if not named:
+        return ""
+    if set(named) == set(one.touching):
+        return f" (the plan goes through {'it' if len(named) == 1 else 'them'})"
+    return f" (the plan goes through {_listed(named)})"
 
 
 def _of_searches(record: TrialRecord, searches: Sequence[Search]) -> list[str]:
