@@ -138,16 +138,21 @@ def _crossed(record: TrialRecord, plan: PlanRecord, at: int) -> list[str]:
     """
     nodes = plan.path[at : at + 3]
     part = np.linspace(0, 1, SWEPT, endpoint=False)[:, None, None, None]
-    swept = []
-    for bodies in (plan.points[nodes], plan.grippers[nodes]):
-        between = bodies[:-1] + part * np.diff(bodies, axis=0)
-        swept.append(np.concatenate([between.swapaxes(0, 1).reshape(-1, *bodies.shape[1:]), bodies[-1:]]))
+    points, grippers = (_between(bodies[nodes], part) for bodies in (plan.points, plan.grippers))
+    swept = [gaps(record.obstacles, *rope, record.look) for rope in zip(points, grippers, strict=True)]
     root = plan.path[0]  # which was executed, so that what it lies in a little stopped nothing
-    ropes = [(plan.points[root], plan.grippers[root]), *zip(*swept, strict=True)]
-    before, *after = [gaps(record.obstacles, *rope, record.look) for rope in ropes]
-    deepest, radius = np.min(after, axis=0), record.look.rope_radius
+    before = gaps(record.obstacles, plan.points[root], plan.grippers[root], record.look)
+    deepest, radius = np.min(swept, axis=0), record.look.rope_radius
     deeper = np.where(deepest < before - radius, deepest, np.inf)
     return touched(deeper, obstacle_names(record.obstacles), within=-radius)
+
+
+def _between(
+    bodies: Float[np.ndarray, "k K 3"], part: Float[np.ndarray, "s 1 1 1"]
+) -> Float[np.ndarray, "n K 3"]:
+    """States in a row with others between them, at parts of the way from each to the next."""
+    between = bodies[:-1] + part * np.diff(bodies, axis=0)
+    return np.concatenate([between.swapaxes(0, 1).reshape(-1, *bodies.shape[1:]), bodies[-1:]])
 
 
 def _search(record: TrialRecord, index: int) -> Search:
