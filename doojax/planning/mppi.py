@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
+from doojax.geometry.frames import exact_product
 from doojax.modules import Jittable
 from doojax.parts import traced
 from doojax.planning.risk import Risk
@@ -36,6 +37,7 @@ class MppiSettings:
     horizon: int = 20  # controls in a plan
     temperature: float = 1.0  # the cost by which a sample must be worse to count 1/e of a better one
     noise: float | tuple[float, ...] = 1.0  # standard deviation, of all controls or of each
+    knots: int = 0  # draws along the horizon, between which noise goes on evenly; 0: each control has its own
     adapt_noise: bool = False  # the variance of each control follows that of the weighted samples
     duration: float = 0.1  # s, of each control; what the first plan expects, if durations vary
     duration_noise: float = 0.0  # s, standard deviation; every sample has one duration for all its controls
@@ -46,6 +48,8 @@ class MppiSettings:
         for name, most in MOST.items():
             if not 1 <= getattr(self, name) <= most:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 1 to {most:,}")
+        if not 0 <= self.knots <= self.horizon:
+            raise ValueError(f"knots is {self.knots}, expected 0 to the horizon, {self.horizon}")
         noise = self.noise if isinstance(self.noise, tuple) else (self.noise,)
         for name, values in {"temperature": (self.temperature,), "noise": noise}.items():
             if not values or not all(0 < value < float("inf") for value in values):
@@ -232,8 +236,11 @@ class Mppi(Jittable):
         """Samples around a plan, within the bounds."""
         settings = self.settings
         for_controls, for_durations = jax.random.split(key)
-        shape = (settings.samples, settings.horizon, len(self.low))
+        shape = (settings.samples, settings.knots or settings.horizon, len(self.low))
         noise = jax.random.normal(for_controls, shape, self.low.dtype)
+        if settings.knots:
+            between = _between(settings.knots, settings.horizon, noise.dtype)
+            noise = exact_product(jnp.broadcast_to(between, (len(noise), *between.shape)), noise)
         controls = jnp.clip(nominal.controls[None] + nominal.deviation * noise, self.low, self.high)
         if not settings.duration_noise:
             return Samples(controls, jnp.broadcast_to(nominal.duration, (settings.samples,)))
@@ -267,6 +274,13 @@ class Mppi(Jittable):
     def _priced(self, term: Term) -> Term:
         """A term of all samples, and of all their rollouts if each has several."""
         return jax.vmap(term if self.risk is None else jax.vmap(term, (0, None)))
+
+
+def _between(knots: int, horizon: int, dtype: Any) -> Float[Array, "H k"]:
+    """What each control has of the draws at knots: of the two beside it, so that its variance is theirs."""
+    place = jnp.linspace(0, knots - 1, horizon, dtype=dtype)[:, None]
+    near = jnp.maximum(0, 1 - jnp.abs(place - jnp.arange(knots, dtype=dtype)))
+    return near / jnp.sqrt((near**2).sum(-1, keepdims=True))
 
 
 def unwound(

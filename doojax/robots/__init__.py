@@ -7,6 +7,10 @@ from doojax.robots.clearance import is_free as is_free
 from doojax.robots.clearance import obstacle_distances as obstacle_distances
 from doojax.robots.clearance import self_distance as self_distance
 from doojax.robots.collisions import are_free as are_free
+from doojax.robots.displacements import Displaced as Displaced
+from doojax.robots.displacements import displaced as displaced
+from doojax.robots.displacements import tools_towards as tools_towards
+from doojax.robots.displacements import velocities as velocities
 from doojax.robots.inverse import IkSettings as IkSettings
 from doojax.robots.inverse import IkSolutions as IkSolutions
 from doojax.robots.inverse import inverse_kinematics as inverse_kinematics

@@ -112,7 +112,7 @@ class Cylinder:
 class Arms:
     """A robot with a fixed base, in the place of free hands; its tools hold what `Scene.grasps` lets them."""
 
-    file: str  # MJCF, whose actuators are of the type intvelocity; see doojax.robots.DUAL_ARM
+    file: str  # MJCF, whose actuators are of the types intvelocity or position; see doojax.robots.DUAL_ARM
     tools: tuple[str, ...]  # sites
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the file's origin, m
 

@@ -161,6 +161,17 @@ def test_the_same_key_gives_the_same_plan_and_compiles_once():
     assert not jnp.array_equal(first.controls, other.controls)
 
 
+def test_noise_between_knots_is_as_large_and_changes_slowly():
+    settings = replace(LINEAR, samples=20_000, horizon=9, knots=3)
+    found = np.asarray(linear(settings).draw(linear(settings).start(), jax.random.key(2)).controls[..., 0])
+    assert found.std(0) == pytest.approx(settings.noise, rel=0.03)
+    alike = np.corrcoef(found.T)
+    assert alike[0, 4] == pytest.approx(0, abs=0.03)  # knots know nothing of each other
+    # a quarter of the way from one knot to the next: 3/4 of the one, 1/4 of the other
+    assert alike[0, 1] == pytest.approx(0.75 / np.hypot(0.75, 0.25), abs=0.01)
+    assert alike[1, 2] == pytest.approx((0.75 + 0.25) / (np.hypot(0.75, 0.25) * 2**0.5), abs=0.01)
+
+
 def test_what_is_left_begins_with_the_second_control_and_ends_at_rest():
     nominal = eqx.tree_at(lambda n: n.controls, LQ.start(), jnp.arange(1.0, 5.0)[:, None])
     assert nominal.advanced().controls[:, 0].tolist() == [2, 3, 4, 0]
@@ -227,6 +238,8 @@ def test_costs_of_several_rollouts_are_one_by_their_risk():
     assert np.asarray(Risk("cvar", 0.375).of(costs)) == pytest.approx([(4 + 1.5) / 1.5, 8 / 1.5])
     with pytest.raises(ValueError, match=r"tail is 0\.0, expected a share"):
         Risk("cvar", 0.0)
+    with pytest.raises(ValueError, match="risk is 'median', expected mean, worst or cvar"):
+        Risk("median")
 
 
 def test_what_may_go_very_wrong_is_left_alone_by_those_who_look_at_the_worst():
@@ -274,6 +287,7 @@ def test_a_cost_that_is_nan_counts_for_nothing_and_is_named():
     [
         ({"horizon": 0}, "horizon is 0, expected 1 to 10,000"),
         ({"samples": 0}, "samples is 0, expected 1 to"),
+        ({"knots": 21}, "knots is 21, expected 0 to the horizon, 20"),
         ({"temperature": 0.0}, "temperature is 0.0, expected positive"),
         ({"temperature": float("nan")}, "temperature is nan, expected positive"),
         ({"noise": (0.1, -1.0)}, "noise is (0.1, -1.0), expected positive"),

@@ -58,3 +58,6 @@ def test_what_a_file_lacks_is_told(planar):
     planar.write_text(URDF.replace('"elbow" type="revolute"', '"elbow" type="floating"'))
     with pytest.raises(ValueError, match="free joint can only be used on top level"):
         read_robot(planar, ("tool",))
+    planar.write_text("<robot><link")
+    with pytest.raises(ValueError, match=r"(?i)xml|parse"):
+        read_robot(planar, ("tool",))

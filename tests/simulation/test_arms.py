@@ -2,10 +2,12 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from doojax.robots import DUAL_ARM, dual_arm, tool_poses
+from doojax.simulation.build import build_model
 from doojax.simulation.engines.mujoco import MujocoSimulator
 from doojax.simulation.grasps import graspable, grasped, released, rope_point
 from doojax.simulation.rope import RopeModel, RopeParameters
@@ -127,3 +129,74 @@ def test_arms_stand_alone():
     hand = Gripper(link=None, end=0, radius=0.02, max_force=10.0, max_speed=0.2)
     with pytest.raises(ValueError, match="'both' has arms and 1 free hands: expected arms alone"):
         Scene("both", SCENE.rope_model, SCENE.rope, (hand,), arms=SCENE.arms)
+
+
+# A robot as files of others are: position controllers that damp, shapes that are only seen.
+OTHER = """
+<mujoco model="other">
+  <compiler autolimits="true"/>
+  <worldbody>
+    <body name="upper" pos="0 0 0.2">
+      <joint name="shoulder" axis="0 0 1" range="-120 120"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03" mass="1"/>
+      <geom type="sphere" size="0.2" mass="0" contype="0" conaffinity="0"/>
+      <body name="lower" pos="0.3 0 0">
+        <joint name="elbow" axis="0 0 1" range="-60 60"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.03" mass="0.5"/>
+        <site name="tip" pos="0.25 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="shoulder" joint="shoulder" kp="500" kv="100" ctrlrange="-2 2" forcerange="-150 150"/>
+    <position name="elbow" joint="elbow" kp="200" kv="40" inheritrange="1"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def scene_with(tmp_path, text: str, tool: str = "tip") -> Scene:
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    return Scene(
+        name="other",
+        rope_model=SCENE.rope_model,
+        rope=SCENE.rope,
+        grippers=(),
+        timestep=0.004,
+        substeps=50,
+        solver=SolverSettings(cone="pyramidal"),
+        arms=Arms(str(path), (tool,)),
+    )
+
+
+def test_position_controllers_of_a_users_file_follow_velocities(tmp_path):
+    scene = scene_with(tmp_path, OTHER)
+    simulator = MujocoSimulator(scene, start=no_start)
+    qpos = np.zeros(scene.nq, np.float32)
+    qpos[scene.layout.places["rope"].qpos] = [0, 2.0, 0.01, 1, 0, 0, 0]
+    state = at_rest(scene, jnp.asarray(qpos), jnp.zeros((0, 3)), jnp.zeros((0, 4)))
+    states = jax.tree.map(lambda leaf: leaf[None], state)
+    last, seen = simulator.rollout(states, jnp.tile(jnp.array([0.5, -0.8]), (1, 5, 1)))
+    assert not seen.faults.any()
+    # in a second; damping alone would leave them 0.1 and 0.16 behind
+    assert np.asarray(seen.states.joints[0, -1]) == pytest.approx([0.5, -0.8], abs=0.03)
+    expected = [0.3 * np.cos(0.5) + 0.25 * np.cos(-0.3), 0.3 * np.sin(0.5) + 0.25 * np.sin(-0.3), 0.2]
+    assert np.asarray(seen.states.grippers[0, -1, 0]) == pytest.approx(expected, abs=0.02)
+    last, seen = simulator.rollout(last, jnp.tile(jnp.array([0.0, -1.0]), (1, 4, 1)))
+    assert float(seen.states.joints[0, -1, 1]) == pytest.approx(-np.pi / 3, abs=0.01)  # as far as its range
+    model = build_model(scene)
+    seen_only = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
+    assert [model.geom_conaffinity[g] for g in seen_only] == [0]
+
+
+def test_what_a_users_file_lacks_is_told(tmp_path):
+    with pytest.raises(ValueError, match=r"has no tool 'hand': expected one of its sites, tip"):
+        build_model(scene_with(tmp_path, OTHER, "hand"))
+    elbow = '<position name="elbow" joint="elbow" kp="200" kv="40" inheritrange="1"/>'
+    motor = OTHER.replace(elbow, '<motor name="pull" joint="elbow"/>')
+    with pytest.raises(ValueError, match=r"actuator 'pull' of .* does not make a joint follow a target"):
+        build_model(scene_with(tmp_path, motor))
+    still = OTHER[: OTHER.index("<actuator>")] + "</mujoco>"
+    with pytest.raises(ValueError, match=r"has no actuators: give each joint .* a position or intvelocity"):
+        build_model(scene_with(tmp_path, still))

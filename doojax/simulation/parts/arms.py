@@ -3,12 +3,13 @@
 The bodies are those of a robot's MJCF file. Its actuators become position controllers of the same gain and
 force, whose targets run at the commanded velocities, no farther ahead of the joints than 0.02 rad: that is
 what MuJoCo's ``intvelocity`` does with its windup bounded, but without a state besides `SimState.commanded`.
-Joints get the inertia of drives, as much as keeps controller and damping stable at the scene's time step.
+Position controllers stay what they are; what they damp is the velocity that is not commanded. Joints get the
+inertia of drives, as much as keeps controller and damping stable at the scene's time step.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
@@ -25,6 +26,18 @@ if TYPE_CHECKING:
 PREFIX = "robot_"  # of all names of the file
 LEAD = 0.02  # rad, that a target is ahead of its joint at most
 TOOL_RADIUS = 0.02  # m, of the ball around a tool that counts as what touches obstacles
+SPEED = 1.0  # rad/s or m/s, at most, of joints with position controllers, whose files say none
+
+
+class Drive(NamedTuple):
+    """What an actuator does, rad or m."""
+
+    joint: str
+    gain: float  # N m/rad
+    damping: float  # N m s/rad, of the actuator itself
+    low: float  # of its targets
+    high: float
+    speed: float  # at most, rad/s
 
 
 @dataclass(frozen=True)
@@ -37,35 +50,92 @@ class ArmBodies(Part):
         return mujoco.MjSpec.from_file(self.arms.file)
 
     def add(self, spec: mujoco.MjSpec, scene: "Scene") -> None:
-        """Attach the file's bodies, with controllers and inertias as the module says."""
+        """Attach the file's bodies, with controllers and inertias as the module says.
+
+        Raises:
+            ValueError: a tool is no site of the file, or its actuators are none for this.
+        """
+        for name in self.arms.tools:
+            self._site(name)
         robot = self._spec()
-        gains = {one.target: one.gainprm[0] for one in robot.actuators}
+        drives = {one.joint: one for one in self.drives}
         for actuator in robot.actuators:
-            actuator.dyntype, actuator.actdim = mujoco.mjtDyn.mjDYN_NONE, 0
-            actuator.ctrlrange, actuator.actlimited = list(actuator.actrange), False
+            if actuator.dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+                actuator.dyntype, actuator.actdim = mujoco.mjtDyn.mjDYN_NONE, 0
+                actuator.ctrlrange, actuator.actlimited = list(actuator.actrange), False
         for joint in robot.joints:
-            step, gain = scene.timestep, gains.get(joint.name, 0.0)
-            joint.armature = max(gain * step**2, joint.damping[0] * step, joint.armature, 1e-4)
+            step, own = scene.timestep, drives.get(joint.name)
+            gain, damping = (own.gain, own.damping) if own else (0.0, 0.0)
+            joint.armature = max(gain * step**2, (joint.damping[0] + damping) * step, joint.armature, 1e-4)
         for geom in robot.geoms:
-            geom.contype, geom.conaffinity = 0, OBSTACLE_CONTACT | FLOOR_CONTACT
+            collides = geom.contype or geom.conaffinity
+            geom.contype, geom.conaffinity = 0, (OBSTACLE_CONTACT | FLOOR_CONTACT if collides else 0)
             geom.friction = [scene.friction, 0, 0]
         spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame(pos=list(self.arms.position)))
 
     @cached_property
     def bodies(self) -> tuple[str, ...]:
         """Names of the bodies that carry the tools."""
-        return tuple(PREFIX + self._spec().site(name).parent.name for name in self.arms.tools)
+        return tuple(PREFIX + self._site(name).parent.name for name in self.arms.tools)
 
     @cached_property
     def anchors(self) -> tuple[tuple[float, float, float], ...]:
         """Where the tools are on those bodies, m."""
-        found = (self._spec().site(name).pos for name in self.arms.tools)
+        found = (self._site(name).pos for name in self.arms.tools)
         return tuple((float(x), float(y), float(z)) for x, y, z in found)
+
+    def _site(self, name: str) -> Any:
+        spec = self._spec()
+        found = spec.site(name)
+        if found is None:
+            sites = ", ".join(site.name for site in spec.sites)
+            raise ValueError(
+                f"{self.arms.file} has no tool {name!r}: expected one of its sites, {sites or 'none'}"
+            )
+        return found
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Names, in the file, of the joints that actions move, in the order of actions."""
-        return tuple(one.target for one in self._spec().actuators)
+        return tuple(one.joint for one in self.drives)
+
+    @cached_property
+    def drives(self) -> tuple[Drive, ...]:
+        """What each actuator does.
+
+        Raises:
+            ValueError: the file has none, or one that does not make a joint follow a target.
+        """
+        model = self._spec().compile()
+        if not model.nu:
+            raise ValueError(
+                f"{self.arms.file} has no actuators: give each joint that is to move a position or "
+                "intvelocity actuator, as in an MJCF file"
+            )
+        return tuple(self._drive(model, number) for number in range(model.nu))
+
+    def _drive(self, model: mujoco.MjModel, number: int) -> Drive:
+        gain, bias = float(model.actuator_gainprm[number, 0]), model.actuator_biasprm[number]
+        integrates = model.actuator_dyntype[number] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        follows = integrates or model.actuator_dyntype[number] == mujoco.mjtDyn.mjDYN_NONE
+        follows &= bool(gain > 0 and bias[1] == -gain)
+        follows &= model.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE
+        if not follows or model.actuator_trntype[number] != mujoco.mjtTrn.mjTRN_JOINT:
+            raise ValueError(
+                f"actuator {model.actuator(number).name or number!r} of {self.arms.file} does not make a "
+                "joint follow a target: expected one of the types position and intvelocity, of a joint"
+            )
+        joint = model.actuator_trnid[number, 0]
+        low, high = -np.inf, np.inf
+        if integrates:
+            low, high = model.actuator_actrange[number]
+        elif model.actuator_ctrllimited[number]:
+            low, high = model.actuator_ctrlrange[number]
+        elif model.jnt_limited[joint]:
+            low, high = model.jnt_range[joint]
+        speed = np.abs(model.actuator_ctrlrange[number]).min() if integrates else SPEED
+        name = model.joint(joint).name
+        return Drive(name, gain, -float(bias[2]), float(low), float(high), float(speed))
 
     def frames(self) -> tuple[Frames, ...]:
         """The tools."""
@@ -116,14 +186,16 @@ class ArmBodies(Part):
         Returns:
             ``[*b, S, U]`` and ``[*b, U]``.
         """
-        low, high, speed = (xp.asarray(values, dtype=at.dtype) for values in self._limits)
+        low, high, speed, lag = (xp.asarray(values, dtype=at.dtype) for values in self._limits)
         start = xp.clip(commanded, at - LEAD, at + LEAD)
         elapsed = xp.arange(1, scene.substeps + 1, dtype=at.dtype)[:, None] * scene.timestep
-        moved = start[..., None, :] + elapsed * xp.clip(action, -speed, speed)[..., None, :]
+        velocity = xp.clip(action, -speed, speed)[..., None, :]
+        moved = start[..., None, :] + elapsed * velocity
         targets = xp.clip(moved, low, high)
-        return targets, targets[..., -1, :]
+        # by what a controller lags that damps velocities
+        return targets + xp.where(moved == targets, lag * velocity, 0), targets[..., -1, :]
 
     @cached_property
     def _limits(self) -> tuple[tuple[float, ...], ...]:
-        ranges = [(*one.actrange, min(np.abs(one.ctrlrange))) for one in self._spec().actuators]
-        return tuple(tuple(float(value) for value in column) for column in zip(*ranges, strict=True))
+        found = [(one.low, one.high, one.speed, one.damping / one.gain) for one in self.drives]
+        return tuple(zip(*found, strict=True))
