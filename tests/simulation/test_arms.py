@@ -1,5 +1,7 @@
 """Arms in a scene: where their kinematics say, as fast as told, with a rope that they grasp and let go."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -135,6 +137,7 @@ def test_arms_stand_alone():
 OTHER = """
 <mujoco model="other">
   <compiler autolimits="true"/>
+  <option integrator="implicitfast" timestep="0.001" gravity="0 0 -1"/>
   <worldbody>
     <body name="upper" pos="0 0 0.2">
       <joint name="shoulder" axis="0 0 1" range="-120 120"/>
@@ -185,7 +188,9 @@ def test_position_controllers_of_a_users_file_follow_velocities(tmp_path):
     assert np.asarray(seen.states.grippers[0, -1, 0]) == pytest.approx(expected, abs=0.02)
     last, seen = simulator.rollout(last, jnp.tile(jnp.array([0.0, -1.0]), (1, 4, 1)))
     assert float(seen.states.joints[0, -1, 1]) == pytest.approx(-np.pi / 3, abs=0.01)  # as far as its range
-    model = build_model(scene)
+    with warnings.catch_warnings(action="error"):
+        model = build_model(scene)
+    assert model.opt.timestep == 0.004 and model.opt.gravity[2] == -9.81  # the scene's
     seen_only = [g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
     assert [model.geom_conaffinity[g] for g in seen_only] == [0]
 

@@ -58,6 +58,10 @@ class ArmBodies(Part):
         for name in self.arms.tools:
             self._site(name)
         robot = self._spec()
+        given, wanted = robot.option, spec.option  # how a scene is simulated is not the robot's to say
+        for name in dir(given):
+            if not name.startswith("_") and not callable(getattr(given, name)):
+                setattr(given, name, getattr(wanted, name))
         drives = {one.joint: one for one in self.drives}
         for actuator in robot.actuators:
             if actuator.dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR:
