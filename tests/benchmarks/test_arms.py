@@ -59,8 +59,9 @@ def test_fingers_stay(task):
     }
 
 
-def test_the_loop_closes(task):
-    """With MPPI the cable's end comes to a goal that it is 28 cm away from."""
+@pytest.mark.slow  # some ten seconds; beside it a tool that goes straight closes the loop
+def test_the_loop_closes_past_a_box(task):
+    """With MPPI the cable's end comes to a goal, though a box stands on its straight way."""
     done = bench.trial(task, 0, bench.METHODS["mppi"].control)
     away = bench.distances(task, done)
     assert done.reached and away[0] > 0.15 and away[-1] <= 0.05 and done.commands < 30
