@@ -6,7 +6,6 @@ looks at nothing but where the goal is: the tool goes straight, as far as the ar
 """
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -120,19 +119,20 @@ class Straight:
         """Of one scene."""
         self._task, self._goal, self._obstacles = task, drawn.goal, task.obstacles(drawn.state)
 
-    @cached_property
-    def _period(self) -> float:
-        return self._task.scene.control_period
-
     def __call__(self, state: SimState, key: Array) -> Float[Array, "A"]:
         """See `Command`."""
-        task = self._task
-        seen = task.simulator.observation(state)
+        task, seen = self._task, self._task.simulator.observation(state)
         moves = jnp.zeros((len(task.robot.tools), 3)).at[HAND].set(self._goal - task.end(seen))
-        found = _towards(
-            task.robot, seen.state.joints, moves, self._obstacles, tuple(map(int, task.moving)), self._period
-        )
-        return JointRollouts(task).whole(found[task.moving])
+        return displacing(task, seen.state.joints, moves, self._obstacles)
+
+
+def displacing(
+    task: ArmReaching, joints: Float[Array, "J"], moves: Float[Array, "T 3"], obstacles: Obstacles
+) -> Float[Array, "A"]:
+    """The action that displaces tools (m), as far as they can go in a control period and arms are free."""
+    moving, period = tuple(map(int, task.moving)), task.scene.control_period
+    found = _towards(task.robot, joints, moves, obstacles, moving, period)
+    return JointRollouts(task).whole(found[task.moving])
 
 
 @eqx.filter_jit

@@ -27,6 +27,10 @@ def postures(count: int) -> np.ndarray:
     random = np.random.default_rng(0).uniform(-0.3, 0.3, (count, 20)).astype(np.float32)
     random[:, [i for i in range(20) if i not in MOVING]] = 0
     random[:, ELBOWS] -= 0.5
+    random[:, [ROBOT.joints.index(f"{side}_shoulder_2") for side in ("left", "right")]] += (
+        0.3,
+        -0.3,
+    )  # outwards
     return random
 
 
