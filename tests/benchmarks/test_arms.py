@@ -1,6 +1,5 @@
 """What MPPI of the arms is priced by, and which joints it moves."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
