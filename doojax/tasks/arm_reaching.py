@@ -153,8 +153,10 @@ class ArmReaching:
             centres = random.uniform(*REGION, (DRAWS, len(HALVES), 3)).astype(np.float32)
             beside = random.uniform(-BESIDE, BESIDE, (DRAWS, 3)).astype(np.float32)
             part = random.uniform(*IN_THE_WAY, DRAWS).astype(np.float32)
-            tried = tuple(map(jnp.asarray, (joints, centres, part, beside)))
-            good, goals, placed = _solvable(self.scene, self.robot, *tried, seen.state.joints, rope, hangs)
+            good, goals, placed = _solvable(
+                *(self.scene, self.robot, jnp.asarray(joints), jnp.asarray(centres), jnp.asarray(part)),
+                *(jnp.asarray(beside), seen.state.joints, rope, hangs),
+            )
             if bool(good.any()):
                 first = int(jnp.argmax(good))
                 state = eqx.tree_at(lambda s: s.obstacle_position, state, placed[first])
