@@ -16,7 +16,7 @@ from rich.console import Console
 from doojax.augmentation.examples import Augmented, Bounds, Examples, Setting, augment
 from doojax.augmentation.objectives import Weights
 from doojax.augmentation.projection import ProjectionConfig
-from doojax.augmentation.settings import setting_of
+from doojax.augmentation.settings import setting_of, usual
 from doojax.datasets.files import MANIFEST
 from doojax.datasets.manifest import Field
 from doojax.datasets.progress import progress_bar
@@ -33,6 +33,7 @@ from doojax.types import Obstacles, Verdict
 
 SHARD_SIZE = 64
 BY_STATE = ("clearance", "stretch")  # besides the states themselves, one value for each state
+Way = tuple[float, float, float]
 STARTS = ("initial_qpos", "initial_qvel", "initial_commanded")
 
 
@@ -67,8 +68,9 @@ def augment_dataset(
     out: Path,
     copies: int = 5,
     steps: int | None = None,
-    bounds: Bounds = Bounds(),  # noqa: B008
-    projection: ProjectionConfig = ProjectionConfig(),  # noqa: B008
+    translation: Way | None = None,
+    rotation: Way | None = None,
+    distance_tolerance: float | None = None,
     weights: Weights = Weights(),  # noqa: B008
     seed: int = 0,
 ) -> None:
@@ -85,8 +87,9 @@ def augment_dataset(
         copies: augmentations tried for each example.
         steps: actions of an example: trajectories are cut up, and what remains is left out; 1 gives
             transitions, and by default they stay whole.
-        bounds: between which transforms are drawn.
-        projection: how it searches, and what it accepts.
+        translation: m, either way along each axis, between which transforms are drawn; by default the task's.
+        rotation: rad, either way, rotation vector; by default the task's.
+        distance_tolerance: m, by how much the least distance to what stays may change; by default the task's.
         weights: of the objective's terms. One of 0 leaves a term's gradient out; its check still holds.
         seed: of the transforms.
 
@@ -99,6 +102,10 @@ def augment_dataset(
         source = Dataset.open(data)
     plan = _planned(source, copies, steps)
     task = task_of(source.config)
+    bounds, projection = usual(task)
+    bounds = Bounds(translation or bounds.translation, rotation or bounds.rotation)
+    if distance_tolerance is not None:
+        projection = replace(projection, distance_tolerance=distance_tolerance)
     setting = setting_of(task, bounds)
     config = {
         **source.config,
@@ -108,8 +115,8 @@ def augment_dataset(
             "manifest_sha256": file_digest(data / MANIFEST),
             "copies": copies,
             "steps": steps,
-            "bounds": asdict(bounds),
-            "projection": asdict(projection),
+            **asdict(bounds),
+            "distance_tolerance": projection.distance_tolerance,
             "weights": asdict(weights),
             "seed": seed,
         },

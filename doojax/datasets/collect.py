@@ -147,15 +147,11 @@ def command_of(manifest: Manifest, out: Path) -> str | None:
 def _augmentation_of(config: dict[str, Any], out: Path) -> str:
     """The command that made an augmented data set."""
     function = load(str(COMMANDS["augment"][0]))
-    defaults = {name: one.default for name, one in signature(function).parameters.items()}
-    groups = {  # of numbers and of lists, which stand for tuples
-        name: type(defaults[name])(
-            **{key: tuple(value) if isinstance(value, list) else value for key, value in config[name].items()}
-        )
-        for name in ("bounds", "projection")
-    }
-    plain = {name: config[name] for name in ("copies", "steps", "seed")}
-    return command_line(function, {"data": Path(config["data"]), "out": out, **plain, **groups})
+    weights = type(signature(function).parameters["weights"].default)(**config["weights"])
+    lists = {name: tuple(config[name]) for name in ("translation", "rotation")}
+    plain = {name: config[name] for name in ("copies", "steps", "distance_tolerance", "seed")}
+    given = {"data": Path(config["data"]), "out": out, "weights": weights, **lists, **plain}
+    return command_line(function, given)
 
 
 def random_trajectories(

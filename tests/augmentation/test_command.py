@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from doojax.augmentation import command
+from doojax.augmentation import command, usual
 from doojax.augmentation.command import augment_dataset
 from doojax.augmentation.examples import Bounds
+from doojax.augmentation.objectives import Weights
 from doojax.commands import parsed
 from doojax.datasets import Dataset
 from doojax.datasets.collect import collect, command_of
@@ -134,7 +135,14 @@ def test_inspect_says_what_was_accepted_and_the_command(folder):
     assert line is not None
     ((function, given),) = parsed(line)
     assert function is augment_dataset
-    assert (given["data"], given["copies"], given["bounds"]) == (folder / "data", COPIES, Bounds())
+    assert (given["data"], given["copies"], given["weights"]) == (folder / "data", COPIES, Weights())
+    assert (given["translation"], given["rotation"]) == (Bounds().translation, Bounds().rotation)
+
+
+def test_bounds_and_tolerance_are_the_tasks_own():
+    pushing, ropes = usual(make_task("planar_pushing")), usual(make_task("rope_dragging"))
+    assert pushing[0].translation == (0.15, 0.15, 0.0) and ropes[0] == Bounds()
+    assert pushing[1].distance_tolerance < ropes[1].distance_tolerance
 
 
 @pytest.mark.parametrize(
@@ -142,7 +150,7 @@ def test_inspect_says_what_was_accepted_and_the_command(folder):
     [
         ({"copies": 0}, "copies is 0, expected at least 1"),
         ({"steps": 4}, "steps is 4, expected 1 to 3, as many as the trajectories have"),
-        ({"bounds": Bounds((0.0, 0.0, 0.1), (0.1, 0.0, 0.0))}, "the range of transforms is zero"),
+        ({"translation": (0.0, 0.0, 0.1), "rotation": (0.1, 0.0, 0.0)}, "the range of transforms is zero"),
         ({"seed": -1}, "the seed is -1"),
     ],
 )

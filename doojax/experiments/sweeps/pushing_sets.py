@@ -68,7 +68,7 @@ def _made(method: str, one: PushingSet, task: Task, copies: int, seed: int, vaes
     if method == "none":
         return one.own
     if method in PROJECTED:
-        return _projected(method, one, task, copies)
+        return _projected(method, one, copies)
     key = stream(seed, "augmentation study", method, str(one.number))
     own = one.own
     repeated = jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, axis=0), own)
@@ -98,14 +98,12 @@ def vae_fit(sets: int) -> FitConfig:
     return FitConfig(VAE.epochs, VAE.batch_size, sets, checkpoint_every=VAE.checkpoint_every)
 
 
-def _projected(method: str, one: PushingSet, task: Task, copies: int) -> PushingData:
-    path, (bounds, projection) = one.folder.with_name(f"{one.folder.name}_{method}"), usual(task)
+def _projected(method: str, one: PushingSet, copies: int) -> PushingData:
+    path = one.folder.with_name(f"{one.folder.name}_{method}")
     augment_dataset(
         one.folder,
         out=path,
         copies=copies,
-        bounds=bounds,
-        projection=projection,
         weights=PROJECTED[method],
         seed=2 * one.number + 1,  # data sets have even ones
     )
