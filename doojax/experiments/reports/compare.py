@@ -33,10 +33,10 @@ from doojax.experiments.reports.summary import publish_rows, row
 from doojax.experiments.reports.tables import cells
 from doojax.experiments.trials.executed import wrong_among_accepted
 from doojax.experiments.trials.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
-from doojax.experiments.trials.scenes import SceneSet, load_scenes, rule
+from doojax.experiments.trials.scenes import FOLDER, SceneSet, load_scenes, rule
 from doojax.experiments.trials.setting import TrialSettings
 from doojax.experiments.trials.trial import CRASHED
-from doojax.files import write_whole
+from doojax.files import file_digest, write_whole
 
 ORACLE = "oracle"
 TESTS: dict[str, Callable[[Outcomes, Outcomes], PairedTest]] = {
@@ -108,7 +108,7 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
     )
     write_whole(out / "comparison.md", text + "\n")
     draw_success(out / "success.png", outcomes, f"{task.replace('_', ' ')}, {trials} {kind}")
-    about = scene_tags(task, scenes) | setting_tags(config)
+    about = scene_tags(task, scenes, config.get("scenes")) | setting_tags(config)
     rows = summary_rows(about, outcomes)
     inputs = {name: value for run in made for name, value in run.inputs.items()}
     last = made[-1] if made else None
@@ -119,11 +119,20 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
     Console(stderr=True).print(f"all tables and the figure are in {out}", highlight=False, markup=False)
 
 
-def scene_tags(task: str, scenes: SceneSet) -> dict[str, str]:
-    """What rows say of the scenes of their trials."""
-    tags = {"task": task, "difficulty": scenes.difficulty} | ({"start": "caught"} if scenes.caught else {})
+def scene_tags(task: str, scenes: SceneSet, digest: str | None) -> dict[str, Any]:
+    """What rows say of the scenes of their trials; of a set that does not come with doojax, its seed, too.
+
+    Args:
+        task: whose.
+        scenes: the set.
+        digest: of its file, as an evaluation's config has it.
+    """
+    tags: dict[str, Any] = {"task": task, "difficulty": scenes.difficulty}
+    tags |= {"start": "caught"} if scenes.caught else {}
     if scenes.rope.given:
         tags["rope"] = ", ".join(f"{name} {value}" for name, value in scenes.rope.given.items())
+    if digest is not None and digest not in (file_digest(path)[:16] for path in FOLDER.glob("*.scenes")):
+        tags["scene_seed"] = scenes.seed
     return tags
 
 

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from doojax.commands import parsed
-from doojax.experiments.reports.compare import compare, setting_tags, success_figure
+from doojax.experiments.reports.compare import compare, scene_tags, setting_tags, success_figure
 from doojax.experiments.reports.provenance import note_command
 from doojax.experiments.reports.summary import read_summary, row, show
 from doojax.experiments.trials.outcomes import read_evaluation
 from doojax.experiments.trials.record_files import save_record
 from doojax.experiments.trials.records import Event, Look, TrialRecord
-from doojax.experiments.trials.scenes import draw_scenes, save_scenes
+from doojax.experiments.trials.scenes import FOLDER, draw_scenes, load_scenes, save_scenes
+from doojax.files import file_digest
 from tests.planning.problems import TOY, walls
 
 ERRORS = {  # m; 12 scenes
@@ -199,6 +200,14 @@ def test_what_is_no_evaluation_is_refused(folder, tmp_path):
     with pytest.raises(ValueError, match="holds no finished trial yet"):
         compare(folder)
     assert not (folder / "comparison").exists()
+
+
+def test_rows_say_the_seed_of_scenes_that_do_not_come_along(scene_file):
+    own = load_scenes(scene_file)
+    tags = scene_tags("toy", own, file_digest(scene_file)[:16])
+    assert tags == {"task": "toy", "difficulty": "easy", "scene_seed": 0}
+    known = file_digest(FOLDER / "rope_dragging_narrow.scenes")[:16]
+    assert "scene_seed" not in scene_tags("rope_dragging", own, known)
 
 
 def test_rows_say_which_settings_were_not_the_default():
