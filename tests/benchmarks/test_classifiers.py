@@ -20,6 +20,7 @@ NAMES = [
 ]
 
 
+@pytest.mark.slow
 def test_what_is_timed_judges_every_transition_in_its_own_scene():
     task = make_task("toy")
     obstacles, moves = bench.drawn(task, 256, key=jax.random.key(3))

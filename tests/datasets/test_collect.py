@@ -30,6 +30,7 @@ def digest(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_collections_have_the_bytes_of_an_uninterrupted_one(tmp_path):
     """Killed when some shards are complete; test_kill_resume stops a writer anywhere."""
     whole, broken = tmp_path / "whole", tmp_path / "broken"

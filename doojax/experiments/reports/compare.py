@@ -130,7 +130,7 @@ def scene_tags(task: str, scenes: SceneSet, digest: str | None) -> dict[str, Any
     tags: dict[str, Any] = {"task": task, "difficulty": scenes.difficulty}
     tags |= {"start": "caught"} if scenes.caught else {}
     if scenes.rope.given:
-        tags["rope"] = ", ".join(f"{name} {value}" for name, value in scenes.rope.given.items())
+        tags["rope"] = ",".join(f"{name}={value}" for name, value in scenes.rope.given.items())
     if digest is not None and digest not in (file_digest(path)[:16] for path in FOLDER.glob("*.scenes")):
         tags["scene_seed"] = scenes.seed
     return tags

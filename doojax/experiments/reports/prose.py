@@ -6,16 +6,17 @@ A figure is written between two marks on its line, which a reader of the page do
 
 METRIC may end in .low, .high or .n. `doojax report` writes the figure anew, with as many digits after the
 point; its unit may be %, cm, mm or ms. What looks like a measured figure and is none, such as a definition,
-stands between <!-- given --> and <!-- /given -->.
+stands between <!-- given --> and <!-- /given -->. In the lines of a table marks are filled in, too; what has
+none there is not looked at.
 """
 
 import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from doojax.commands import COMMANDS, parsed
-from doojax.experiments.reports.rows import Row
+from doojax.experiments.reports.rows import Row, Summary
 from doojax.experiments.reports.summary import SUMMARY, read_summary
 
 MARK = re.compile(r"<!-- row:([\w/-]+):(\w+)(?:\.(low|high|n))?((?: \w+=[^\s>]+)*) -->(.*?)<!-- /row -->")
@@ -35,8 +36,19 @@ INLINE = re.compile(r"`doojax ([^`]*)`")
 FENCE, TABLES, TABLES_END = "```", "<!-- results:", "<!-- /results -->"
 
 
-def with_figures(lines: Sequence[str], results: Path, document: Path) -> Iterator[str]:
+Read = Callable[[Path], Summary]
+
+
+def with_figures(
+    lines: Sequence[str], results: Path, document: Path, read: Read = read_summary
+) -> Iterator[str]:
     """The lines of a document, with the marked figures of its prose as the rows have them.
+
+    Args:
+        lines: of the document.
+        results: the folder of results.
+        document: where it is, for errors.
+        read: of a summary's file.
 
     Raises:
         ValueError: a mark has no row or no figure, or a figure has no mark; the message says where.
@@ -46,14 +58,17 @@ def with_figures(lines: Sequence[str], results: Path, document: Path) -> Iterato
     for number, line in enumerate(lines, start=1):
         fenced ^= line.lstrip().startswith(FENCE)
         tabled = (tabled or line.startswith(TABLES)) and line != TABLES_END
-        if fenced or tabled or line.startswith("|"):
+        if fenced or tabled:
             yield line
             continue
         where = f"{document}:{number}"
         try:
-            new = MARK.sub(lambda mark: _written(mark, results), line)
+            new = MARK.sub(lambda mark: _written(mark, results, read), line)
         except (ValueError, FileNotFoundError) as error:
             raise type(error)(f"{where}: {error}") from error
+        if line.startswith("|"):
+            yield new
+            continue
         prose = NOT_PROSE.sub(" ", GIVEN.sub(" ", MARK.sub(" ", new)))
         if "<!-- row" in GIVEN.sub(" ", MARK.sub(" ", new)):
             raise ValueError(
@@ -68,11 +83,11 @@ def with_figures(lines: Sequence[str], results: Path, document: Path) -> Iterato
         yield new
 
 
-def _written(mark: re.Match[str], results: Path) -> str:
+def _written(mark: re.Match[str], results: Path, read: Read) -> str:
     """A mark with the figure that the row has."""
     area, metric, part, tags, old = mark.groups()
     wanted = dict(tag.split("=", 1) for tag in tags.split())
-    row = the_row(read_summary(results / area / SUMMARY).rows, metric, wanted)
+    row = the_row(read(results / area / SUMMARY).rows, metric, wanted)
     shown = SHOWN.fullmatch(old)
     if shown is None:
         raise ValueError(f"{old!r} should be a number, and after it %, cm, mm, ms or nothing")
@@ -112,7 +127,7 @@ def commands_of(lines: Sequence[str]) -> Iterator[tuple[int, str]]:
             yield number, shlex.join(shlex.split(text, comments=True))
 
 
-def command_faults(documents: Sequence[Path], results: Path) -> Iterator[str]:
+def command_faults(documents: Sequence[Path], results: Path, read: Read = read_summary) -> Iterator[str]:
     """What is wrong with the commands of documents and of results: those that `doojax` does not understand.
 
     A run with a note was recorded before commands were complete: its note says what is missing.
@@ -127,7 +142,7 @@ def command_faults(documents: Sequence[Path], results: Path) -> Iterator[str]:
                 if name not in COMMANDS and re.fullmatch(r"[a-z][a-z-]*", name):
                     yield f"{document}:{number}: there is no command doojax {name}"
     for file in sorted(results.rglob(SUMMARY)):
-        for run in read_summary(file).runs:
+        for run in read(file).runs:
             if not run.note:
                 yield from _faults(run.command, str(file))
 

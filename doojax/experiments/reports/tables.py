@@ -12,9 +12,10 @@ stands how the figures were made. Figures in prose are those of rows, too: see `
 import os
 import re
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
-from doojax.experiments.reports.prose import command_faults, with_figures
+from doojax.experiments.reports.prose import Read, command_faults, with_figures
 from doojax.experiments.reports.rows import Row, Summary
 from doojax.experiments.reports.summary import read_summary
 from doojax.files import write_whole
@@ -44,11 +45,11 @@ def report(path: Path = Path("results"), /, *, readme: Path | None = None, check
     beside = path.resolve().parent
     documents = [readme] if readme else [beside / "README.md", *sorted(beside.glob("docs/*.md"))]
     documents = [document for document in documents if readme or document.exists()]
-    stale = []
+    stale, read = [], cache(read_summary)  # for as long as this call takes
     for document in documents:
         old = document.read_text(encoding="utf-8")
-        tables = list(filled(old.splitlines(), path, document))
-        new = "".join(f"{line}\n" for line in with_figures(tables, path, document))
+        tables = list(filled(old.splitlines(), path, document, read))
+        new = "".join(f"{line}\n" for line in with_figures(tables, path, document, read))
         if new != old:
             stale.append(document.name)
             if not check:
@@ -57,13 +58,13 @@ def report(path: Path = Path("results"), /, *, readme: Path | None = None, check
         raise ValueError(
             f"the tables or figures of {', '.join(stale)} are stale; to write them anew, run: doojax report"
         )
-    faults = list(command_faults(documents, path)) if check else []
+    faults = list(command_faults(documents, path, read)) if check else []
     if faults:
         raise ValueError("\n".join(["some commands are not understood:", *faults]))
     print(f"tables written anew: {', '.join(stale)}" if stale else "every table is up to date")
 
 
-def filled(lines: Sequence[str], results: Path, document: Path) -> Iterator[str]:
+def filled(lines: Sequence[str], results: Path, document: Path, read: Read) -> Iterator[str]:
     """The lines of a document, with the tables between its markers made anew."""
     opened = 0  # number of the line that opened the current table, if there is one
     for number, line in enumerate(lines, start=1):
@@ -79,7 +80,7 @@ def filled(lines: Sequence[str], results: Path, document: Path) -> Iterator[str]
             file = results / area / "summary.json"
             link = os.path.relpath(file.resolve(), document.resolve().parent)
             try:
-                new = table(read_summary(file), metrics.split(","), link)
+                new = table(read(file), metrics.split(","), link)
             except (ValueError, FileNotFoundError) as error:
                 raise type(error)(f"{where}: {error}") from error
             yield from (line, *new)

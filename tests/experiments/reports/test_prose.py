@@ -82,6 +82,13 @@ def test_what_is_not_measured_is_left_alone(results, line):
     assert written(line, results) == line
 
 
+def test_marks_in_a_table_are_filled_in_and_its_other_figures_left_alone(results):
+    mark = "<!-- row:planning:success_rate task=toy method=a -->{}<!-- /row -->"
+    assert written(f"| classifier | {mark.format('1 %')} | 12 % |", results) == (
+        f"| classifier | {mark.format('97 %')} | 12 % |"
+    )
+
+
 def test_code_blocks_are_no_prose(results):
     lines = ["```", "success 96 %", "```"]
     assert list(with_figures(lines, results, results)) == lines

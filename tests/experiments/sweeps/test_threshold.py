@@ -35,6 +35,7 @@ def toy(tmp_path_factory):
     return folder / "data", folder / "model.eqx", still
 
 
+@pytest.mark.slow
 def test_every_threshold_and_seed_is_a_member_with_labels_of_its_own(toy, tmp_path):
     data, dynamics, still = toy
     sweep_threshold(

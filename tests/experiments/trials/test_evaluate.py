@@ -87,6 +87,7 @@ def test_more_trials_are_the_same_and_more_and_none_is_run_again(run, whole, tmp
     assert all(same(record_file(out, METHOD, i), record_file(whole, METHOD, i)) for i in range(7))
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_it_ends_with_the_same_trials(run, whole, scenes, tmp_path):
     out = tmp_path / "out"
     code = """

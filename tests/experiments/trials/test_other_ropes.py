@@ -37,6 +37,7 @@ def test_a_saved_set_keeps_its_rope(tmp_path):
         with_other_rope(own, TASK, OtherRope(length=0.4))
 
 
+@pytest.mark.slow
 def test_a_trial_with_another_rope_is_executed_again_bit_for_bit(tmp_path):
     plan(
         "rope_dragging",

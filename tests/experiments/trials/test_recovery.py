@@ -56,6 +56,7 @@ def measured(data: Dataset, recovery, above: float = 0.0, seed: int = 0) -> dict
     return {(row.metric, row.tags.get("policy"), row.tags.get("actions")): row for row in rows}
 
 
+@pytest.mark.slow
 def test_going_towards_what_is_accepted_frees_sooner_than_chance_and_away_later(data):
     up, down = (measured(data, Along(jnp.array(way)), NEAR) for way in (1.0, -1.0))
     for most in (1, MOST_ACTIONS):
