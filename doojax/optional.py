@@ -3,7 +3,9 @@
 import importlib.util
 
 EXTRAS = {  # module -> extra of doojax
+    "brax": "rl",
     "flax": "bench",
+    "gymnasium": "rl",
     "h_signature": "bench",
     "imageio": "view",
     "matplotlib": "figures",

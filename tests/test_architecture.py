@@ -27,6 +27,7 @@ MAY_IMPORT = {
     "augmentation": {"geometry", "topology", "robots", "simulation", "tasks", "datasets"},
     "learning": {"geometry", "simulation", "tasks", "datasets", "models"},
     "planning": {"geometry", "topology", "robots", "models"},
+    "environments": {"geometry", "simulation", "tasks", "models"},
 }
 EVERYTHING = set(MAY_IMPORT)
 MAY_IMPORT |= {"experiments": EVERYTHING, "benchmarks": EVERYTHING | {"experiments"}}
