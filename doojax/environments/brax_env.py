@@ -1,5 +1,7 @@
 """A task as a `brax.envs.Env`, for whatever trains on those; needs the extra ``rl``."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -40,13 +42,15 @@ class BraxEnvironment(Env):
 
     def step(self, state: State, action: jax.Array) -> State:
         """One control period."""
-        after = self._shown(self.environment.step(state.pipeline_state, action))
+        before: Any = state.pipeline_state  # brax has States of its own there
+        after: Any = self._shown(self.environment.step(before, action))
         return after.replace(info=state.info, metrics={**state.metrics, **after.metrics})
 
     def _shown(self, state: EnvironmentState) -> State:
         metrics = {"reached": state.reached.astype(jnp.float32), "missing": state.missing}
         done = state.done.astype(jnp.float32)
-        return State(state, state.observation, state.reward, done, metrics)
+        pipeline: Any = state
+        return State(pipeline, state.observation, state.reward, done, metrics)
 
     @property
     def observation_size(self) -> int:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 
-def device_put_replicated(tree: Any, devices: Sequence[jax.Device]) -> Any:
+def device_put_replicated(tree: Any, devices: Sequence[Any]) -> Any:
     """The tree with a first axis, of as many copies as there are devices, each on one of them."""
     mesh = jax.sharding.Mesh(devices, ("copies",))
     spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("copies"))
