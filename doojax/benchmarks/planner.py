@@ -16,15 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from rich.console import Console
-from rich.table import Table
 
 from doojax.benchmarks.ompl_peer import SEED, Found, Ompl
 from doojax.benchmarks.planner_rows import rate_rows, sampler_rows, solution_rows
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.experiments.reports.provenance import digests
-from doojax.experiments.reports.summary import publish_rows
+from doojax.experiments.reports.summary import publish_rows, show
 from doojax.experiments.trials.methods import find_models, make_method, needed_models, pretrained_models
 from doojax.experiments.trials.scenes import draw_scenes
 from doojax.keys import numbered, stream
@@ -110,12 +108,7 @@ def planner(
     rows = rate_rows(results, task=task) + solution_rows(task, results)
     rows += rate_rows(together, task=task, all_scenes=scenes) + sampler_rows(task, samplers)
     publish_rows(publish, command=command, seed=SEED, rows=rows, inputs=digests(used))
-    table = Table("metric", "tags", "value", "95 % interval", title=f"{task}, {scenes} scenes")
-    for one in rows:
-        tags = ", ".join(str(tag) for name, tag in one.tags.items() if name != "task")
-        interval = f"{one.low:.4g} to {one.high:.4g}" if one.low is not None else ""
-        table.add_row(one.metric, tags, f"{one.value:.4g}", interval)
-    Console().print(table)
+    show(rows, False)
 
 
 def problems_of(task: Task, count: int) -> list[Problem]:

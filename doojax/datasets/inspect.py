@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from doojax.datasets.collect import command_of
 from doojax.datasets.store import Dataset
@@ -182,13 +183,13 @@ def _size(dataset: Dataset) -> str:
 def _table(dataset: Dataset, summary: Summary) -> Table:
     missing = any(one.missing for one in summary.statistics.values())
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for heading in ("field", "dtype", "shape", "unit"):
-        table.add_column(heading, overflow="fold")
+    table.add_column("field, dtype, shape, unit", no_wrap=True)
     for heading in ("min", "max", "mean", "std", *["missing"] * missing):
         table.add_column(heading, justify="right", no_wrap=True)
     for name, one in summary.statistics.items():
         about = dataset.fields[name]
         numbers = (one.minimum, one.maximum, one.mean, one.deviation) if one.count else (math.nan,) * 4
-        row = [escape(name), about.dtype, " ".join(map(str, about.shape)), escape(about.unit)]
-        table.add_row(*row, *(f"{value:.3g}" for value in numbers), *[str(one.missing)] * missing)
+        kind = ", ".join((about.dtype, " ".join(map(str, about.shape)) or "one", about.unit))
+        named = Text(name, "bold") + Text(f"\n{kind}", "dim")  # whole at 80 columns
+        table.add_row(named, *(f"{value:.3g}" for value in numbers), *[str(one.missing)] * missing)
     return table

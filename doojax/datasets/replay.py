@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from doojax.datasets.progress import announce
 from doojax.datasets.store import Dataset
@@ -179,9 +180,9 @@ def _check_failures(header: FailuresHeader, stored: dict[str, np.ndarray]) -> No
 
 def _show(console: Console, points, stored_points, faults, stored_faults, again: Trajectory) -> None:
     gap = np.linalg.norm(points - stored_points, axis=-1).max(-1)
-    table = Table(
-        "period", "gap to the stored states (m)", "clearance (m)", "stretch", "faults", "stored faults"
-    )
+    heads = ("period", "gap to\nstored (m)", "clearance\n(m)", "stretch", "faults", "stored\nfaults")
+    columns = (Column(head, no_wrap=True) for head in heads)  # all of it in a terminal of 80 columns
+    table = Table(*columns, box=SIMPLE_HEAD, pad_edge=False)
     for period in range(len(faults)):
         table.add_row(
             str(period),
@@ -200,4 +201,4 @@ def _show(console: Console, points, stored_points, faults, stored_faults, again:
 
 
 def _names(faults: int) -> str:
-    return Fault(faults).name or "-"
+    return (Fault(faults).name or "-").replace("|", "\n")

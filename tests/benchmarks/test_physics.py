@@ -11,6 +11,7 @@ from doojax.benchmarks import physics as bench
 from doojax.benchmarks.physics import closed_forms, table
 from doojax.benchmarks.physics.cases import (
     Case,
+    Finding,
     Settings,
     bent_qpos,
     engine_of,
@@ -185,3 +186,15 @@ def test_random_data_stay_out_of_obstacles_and_are_like_those_of_mujoco(task, en
 
 def test_no_random_data_of_a_plain_scene():
     assert list(random_data(Settings("default"), "mujoco")) == []
+
+
+def test_findings_are_told_in_a_terminal_of_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    tags = {"engine": "mujoco", "task": "rope_dragging", "settings": "converged", "rope": "planar_chain"}
+    tags |= {"links": 40, "bending_stiffness": 0.0125, "friction": 0.25}
+    one = Finding("slide_over_coulomb_longest_of_all", tags, 0.336, 0.351, "rad/s^2")
+    table.show([one, Finding("plate", tags, math.nan, 1.0, "m", note="refused: too stiff")])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    first = next(line.split() for line in lines if "slide_" in line)
+    assert first == [one.case, "0.336", "rad/s^2", "0.351", "-4.27%", "right" if one.right else "off"]

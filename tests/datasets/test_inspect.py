@@ -1,3 +1,5 @@
+import contextlib
+import re
 import tracemalloc
 
 import numpy as np
@@ -85,11 +87,27 @@ def test_what_is_printed(tmp_path, capsys):
     assert '"task": "example"' in text
     points = arrays["points"].astype(float)
     numbers = [f"{value:.3g}" for value in (points.min(), points.max(), points.mean(), points.std())]
-    assert lines["points"] == ["points", "float32", "7", "4", "3", "m", *numbers]
+    assert lines["points"] == ["points", *numbers]
+    assert re.search(r"^points .*\nfloat32, 7 4 3, m ", text, re.MULTILINE)
     for name in SCHEMA:
         assert name in lines
     for check in ("checksums", "finite", "unit quaternions", "distinct trajectories"):
         assert f"{check}: ok" in text
+
+
+def test_names_of_fields_are_whole_in_a_terminal_of_80_columns(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    names = ("obstacle_quaternion", "initial_commanded", "initial_qpos")
+    schema = {name: Field((2, 3), "float32", "m, rad", "") for name in names}
+    collect(tmp_path / "data", schema=schema)
+    for name in names:  # numbers as wide as they come, and one that is missing
+        overwrite(tmp_path / "data", name, (0, 0), [-1e24, 1e-24, np.nan])
+    with contextlib.suppress(ValueError):
+        inspect(tmp_path / "data", verify=False)
+    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith(names)]
+    assert len(table) == 3
+    for line in table:
+        assert len(line.split()) == 6 and "e+24" in line and len(line) <= 80
 
 
 def test_an_unfinished_set_is_described_as_such(tmp_path, capsys):

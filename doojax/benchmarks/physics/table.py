@@ -3,8 +3,10 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
+from rich.text import Text
 
 from doojax.benchmarks.physics.cases import Finding
 from doojax.experiments.reports.rows import Row
@@ -25,13 +27,15 @@ def rows(findings: Sequence[Finding]) -> Iterator[Row]:
 
 def show(findings: Sequence[Finding]) -> None:
     """Print value, closed form, error and verdict of each."""
-    table = Table("case", "engine, task, settings", "value", "closed form", "error", "")
+    columns = (Column(head, no_wrap=True) for head in ("value", "closed form", "error", ""))
+    table = Table("case, of what", *columns, box=SIMPLE_HEAD, pad_edge=False)
     for one in findings:
-        place = ", ".join(str(one.tags.get(name, "")) for name in SHOWN_APART)
+        place = ", ".join(str(one.tags[name]) for name in SHOWN_APART if name in one.tags)
+        more = (f"{name} {value}" for name, value in one.tags.items() if name not in SHOWN_APART)
         figures = (f"{one.value:.4g} {one.unit}", f"{one.expected:.4g}", f"{one.error:+.2%}")
-        table.add_row(named(one), place, *figures, verdict(one))
-    console = Console()
-    console.print(table, width=max(console.width, 130))
+        told = Text(one.case, "bold") + Text("\n" + ", ".join((place, *more)), "dim")  # whole at 80 columns
+        table.add_row(told, *figures, verdict(one))
+    Console().print(table)
 
 
 def line(one: Finding) -> str:

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
+from rich.text import Text
 
 from doojax.datasets.progress import progress_bar
 from doojax.experiments.reports.summary import SUMMARY, read_summary
@@ -155,8 +157,10 @@ def _show(rows: Sequence[dict[str, Any]]) -> None:
     groups: dict[tuple[tuple[str, Any], ...], list[float]] = defaultdict(list)
     for row in rows:
         groups[tuple((name, value) for name, value in row.items() if name not in fixed)].append(row["value"])
-    table = Table("", "mean", "of", title="sweep")
+    columns = (Column(head, no_wrap=True) for head in ("mean", "of"))
+    table = Table("metric, of what", *columns, title="sweep", box=SIMPLE_HEAD, pad_edge=False)
     for key, values in groups.items():
-        named = ", ".join(str(value) if name == "metric" else f"{name}={value}" for name, value in key)
+        tags = ", ".join(f"{name} {value}" for name, value in key if name != "metric")
+        named = Text(str(dict(key).get("metric", "")), "bold") + Text(f"\n{tags}" if tags else "", "dim")
         table.add_row(named, f"{np.mean(values):.4g}", str(len(values)))
     Console().print(table)

@@ -2,6 +2,7 @@
 
 import json
 import os
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from doojax.experiments.reports.rows import Run, Summary
-from doojax.experiments.reports.summary import read_summary, row, to_json, write_summary
+from doojax.experiments.reports.summary import read_summary, row, show, to_json, write_summary
 
 SPEED = row("steps_per_s", {"task": "toy", "batch": 64}, 1200.0, "1/s", low=1100.0, high=1300.0, n=5)
 
@@ -175,3 +176,16 @@ def test_a_file_of_something_else_is_refused(path, text):
 def test_a_missing_file_is_named(path):
     with pytest.raises(FileNotFoundError, match=r"summary\.json"):
         read_summary(path)
+
+
+RESULTS = sorted((Path(__file__).parents[3] / "results").glob("*/summary.json"))
+
+
+@pytest.mark.parametrize("file", RESULTS, ids=lambda file: file.parent.name)
+def test_names_are_whole_in_a_terminal_of_80_columns(file, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    rows = read_summary(file).rows
+    show(rows, False)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80 and not any("…" in line for line in lines)
+    assert {one.metric for one in rows} <= {line.split()[0] for line in lines if line.strip()}

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from doojax.experiments.sweeps.command import rows_of, start_worker, supervise, sweep
+from doojax.experiments.sweeps.command import _show, rows_of, start_worker, supervise, sweep
 from doojax.experiments.sweeps.spec import Cell, Spec, cells_of, read_spec
 from doojax.experiments.sweeps.worker import CELLS, DONE, FAILED, FOLDER, MOST_BEGUN, work
 
@@ -223,3 +223,14 @@ def test_a_worker_is_this_pythons(tmp_path):
     (tmp_path / CELLS).write_text("{}")
     worker = start_worker(tmp_path)
     assert worker.wait(60) == 0
+
+
+def test_figures_are_told_in_a_terminal_of_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    tags = {"task": "rope_dragging", "method": "classifier_augmented", "dynamics": "full_dynamics"}
+    about = {"cell": "c", "metric": "conformal_violation_rate_of_all", "delta": 0.05, **tags}
+    _show([{**about, "seed": seed, "value": 0.1 + seed} for seed in (0, 1)])
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    at = lines.index(["conformal_violation_rate_of_all", "0.6", "2"])
+    told = " ".join(word for line in lines[at + 1 :] for word in line)
+    assert told == ", ".join(f"{name} {value}" for name, value in {"delta": 0.05, **tags}.items())
