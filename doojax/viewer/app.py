@@ -20,11 +20,21 @@ from doojax.learning.runs import RunDirectory
 from doojax.viewer.addresses import EYE, TARGET, read_place
 from doojax.viewer.dataset_page import DatasetPage
 from doojax.viewer.evaluation_page import EvaluationPage
-from doojax.viewer.listing import find_items, is_dataset, is_evaluation, is_run, kind_of, require_inside
+from doojax.viewer.listing import (
+    changes_in,
+    find_items,
+    is_dataset,
+    is_evaluation,
+    is_run,
+    kind_of,
+    require_inside,
+)
 from doojax.viewer.page import Page, Server, start_server
 from doojax.viewer.prediction_page import PredictionPage
 from doojax.viewer.run_page import RunPage
 from doojax.viewer.trial_page import TrialPage
+
+LOOK_AGAIN = 2.0  # s
 
 
 @runtime_checkable
@@ -129,29 +139,81 @@ class App:
         self._page = Page(server)
         self._content: Content | None = None
         self._chosen: Path | None = None
+        self._names: dict[str, Path] = {}  # what there is, by what it is called
+        self._pick: viser.GuiDropdownHandle | None = None
+        self._stopped = threading.Event()
         server.on_address = self.go
         self._page.call(self.reload)
+        threading.Thread(target=self._watch, name="contents", daemon=True).start()
 
     def reload(self, chosen: Path | None = None) -> None:
         """Look at the path again and show an item of it, the first by default."""
         page = self._page
-        self.close()
+        self._end()
         page.clear()
         gui = page.server.gui
+        self._pick, self._names = None, {}
         try:
             items = find_items(self._path)
             chosen = chosen if chosen in items else items[0]
             self._chosen = chosen
-            self._page.shown = {"show": chosen.relative_to(self._path)} if len(items) > 1 else {}
-            if len(items) > 1:
-                names = {f"{item.relative_to(self._path)} · {kind_of(item)}": item for item in items}
-                (shown,) = (name for name, item in names.items() if item == chosen)
-                pick = gui.add_dropdown("Show", tuple(names), initial_value=shown)
-                pick.on_update(page.calling(lambda: self.reload(names[pick.value])))
+            self._list(items)
             self._content = open_content(page, chosen, self._path, items)
         finally:
             again = gui.add_button("Read again", order=1e9, hint="What is at the path may have changed")
             again.on_click(page.calling(lambda: self.reload(chosen)))
+
+    def _list(self, items: Sequence[Path]) -> None:
+        """Offer what there is; what is shown stays."""
+        self._page.shown = (
+            {"show": self._chosen.relative_to(self._path)} if self._chosen and items[1:] else {}
+        )
+        if self._chosen is None or len(items) < 2:
+            return
+        called = {item: name for name, item in self._names.items()}
+        self._names = {
+            called.get(item) or f"{item.relative_to(self._path)} · {kind_of(item)}": item for item in items
+        }
+        (shown,) = (name for name, item in self._names.items() if item == self._chosen)
+        if self._pick is None:
+            self._pick = self._page.server.gui.add_dropdown(
+                "Show", tuple(self._names), initial_value=shown, order=-1e9
+            )
+            self._pick.on_update(self._picked)
+        else:
+            self._pick.options = tuple(self._names)
+
+    def _picked(self, _: object) -> None:
+        wanted = self._names.get(str(self._pick.value)) if self._pick is not None else None
+        if wanted is not None and wanted != self._chosen:
+            self._page.call(lambda: self.reload(wanted))
+
+    def _watch(self) -> None:
+        """Look again and again whether there is more to show, or at last something."""
+        before = self._there()
+        while not self._stopped.wait(LOOK_AGAIN):
+            now = self._there()
+            if now != before:
+                self._page.call(self._renew, aloud=False)
+                now = self._there()  # which is of another kind once something is shown
+            before = now
+
+    def _there(self) -> object:
+        """What is another when there is more to show, or what could not be shown has changed."""
+        try:
+            return find_items(self._path) if self._content is not None else changes_in(self._path)
+        except (ValueError, OSError) as error:
+            return str(error)
+
+    def _renew(self) -> None:
+        if self._stopped.is_set():
+            return
+        if self._content is None:
+            self.reload(self._chosen)
+            return
+        items = find_items(self._path)
+        if self._chosen in items:  # what is gone is shown until something else is chosen
+            self._list(items)
 
     def go(self, client: viser.ClientHandle, wanted: dict[str, str]) -> None:
         """Show what an address says, to everybody; its camera is for who has come by it."""
@@ -171,6 +233,10 @@ class App:
 
     def close(self) -> None:
         """End what runs beside the page."""
+        self._stopped.set()
+        self._end()
+
+    def _end(self) -> None:
         if self._content is not None:
             self._content.close()
             self._content = None

@@ -21,7 +21,7 @@ from doojax.experiments.trials.record_files import save_record
 from doojax.viewer import colours
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
-from doojax.viewer.examples import trial_record, write_dataset
+from doojax.viewer.examples import trial_record, write_dataset, write_long_list
 from doojax.viewer.page import Page as Viewed
 from doojax.viewer.page import Server, start_server
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 SEED = 2
 TRAJECTORIES = 10_000
+TRIALS = 10_000
 NODES = 20_000
 OPENINGS = 7
 CHANGES = 40
@@ -114,11 +115,12 @@ NEXT = """async () => {
 def viewer(*, json: bool = False, publish: Path | None = None) -> None:
     """Measure the page of `doojax view` in a headless Chromium.
 
-    open_s: from the opening of a data set by the server until its first rope is drawn in a page that was
-    open before. frame_ms: from the key that steps in time until the rope's new place is in the page
-    (arrival) and until another picture is drawn there (pixels); and the latter in a page that shows nothing
-    but a short rope (floor), which is what viser and the browser take. tree_fps: frames a second that were
-    drawn while the mouse turned the view of a search tree.
+    open_s: from the opening of a data set, or of an evaluation's trials, by the server until the first rope
+    is drawn in a page that was open before. frame_ms: from the key that steps in time until the rope's new
+    place is in the page (arrival) and until another picture is drawn there (pixels); and the latter in a
+    page that shows nothing but a short rope (floor), which is what viser and the browser take. tree_fps:
+    frames a second that were drawn while the mouse turned the view of a search tree. Tags say whether it was
+    a data set (trajectories) or an evaluation (trials).
 
     Args:
         json: print the rows as JSON instead of a table.
@@ -134,25 +136,31 @@ def viewer(*, json: bool = False, publish: Path | None = None) -> None:
         with tempfile.TemporaryDirectory() as temporary, open_browser() as browser:
             folder = Path(temporary)
             write_dataset(folder / "towed", TRAJECTORIES)
+            write_long_list(folder / "trials", TRIALS)
             save_record(folder / "trial.npz", trial_record(seed=SEED, nodes=NODES))
             app = App(server, folder / "towed")
             page = open_page(browser, server.get_port(), script=WATCH)
-            rows = changing(page)
+            rows = changing(page, "/shown0/now/grippers/0", {"trajectories": TRAJECTORIES})
             app.close()
             rows.append(changing_least(server, page))
-            rows += [opening(server, page, folder / "towed"), turning(server, page, folder / "trial.npz")]
+            rows.append(opening(server, page, folder / "towed", {"trajectories": TRAJECTORIES}))
+            rows.append(opening(server, page, folder / "trials", {"trials": TRIALS}))
+            app = App(server, folder / "trials")
+            page.get_by_text("Read again").wait_for()
+            rows += changing(page, "/now/grippers/0", {"trials": TRIALS})
+            app.close()
+            rows.append(turning(server, page, folder / "trial.npz"))
     finally:
         server.stop()
     publish_rows(publish, command=command, seed=SEED, rows=rows)
     show(rows, json)
 
 
-def changing(page: "Page") -> list[Row]:
-    """Step to and fro in time, in a page that shows a data set."""
-    found = stepped(page, "/shown0/now/grippers/0")
-    tags = {"trajectories": TRAJECTORIES, **SOFTWARE}
+def changing(page: "Page", node: str, what: dict[str, int]) -> list[Row]:
+    """Step to and fro in time, in a page where a node moves."""
+    found = stepped(page, node)
     return [
-        median_row("frame_ms", {**tags, "part": part}, times, "ms")
+        median_row("frame_ms", {**what, **SOFTWARE, "part": part}, times, "ms")
         for part, times in zip(("arrival", "pixels"), found.T, strict=True)
     ]
 
@@ -181,8 +189,8 @@ def stepped(page: "Page", node: str) -> Float[np.ndarray, "k 2"]:
     return np.array([page.evaluate(CHANGE, [letter, node]) for letter in letters])
 
 
-def opening(server: Server, page: "Page", path: Path) -> Row:
-    """Open a data set again and again, in a page that shows nothing before."""
+def opening(server: Server, page: "Page", path: Path, what: dict[str, int]) -> Row:
+    """Open something again and again, in a page that shows nothing before."""
     found = []
     for _ in range(OPENINGS):
         Viewed(server).clear()
@@ -194,7 +202,7 @@ def opening(server: Server, page: "Page", path: Path) -> Row:
         page.get_by_text("Read again").wait_for()
         found.append(max(end, time.time()) - start)  # the controls come after the picture, or before it
         app.close()
-    return median_row("open_s", {"trajectories": TRAJECTORIES, **SOFTWARE}, np.array(found), "s")
+    return median_row("open_s", {**what, **SOFTWARE}, np.array(found), "s")
 
 
 def turning(server: Server, page: "Page", path: Path) -> Row:

@@ -13,7 +13,7 @@ from doojax.experiments.trials.records import TrialRecord
 from doojax.viewer import colours
 from doojax.viewer.page import Page
 from doojax.viewer.text import plain, shortened
-from doojax.viewer.trial_table import ALL, SORTS, choices, chosen, methods_of, rates, read_rows, table
+from doojax.viewer.trial_table import ALL, SORTS, beside, choices, chosen, methods_of, rates, read_rows, table
 from doojax.viewer.trial_view import TrialView
 
 LOOK_AGAIN = 2.0  # s
@@ -40,6 +40,7 @@ class EvaluationPage:
         self._descending = gui.add_checkbox("Descending", initial_value=False)
         self._pick = gui.add_slider("Trial", min=0, max=1, step=1, initial_value=0, hint="Keys: I and K")
         self._table = gui.add_html("")
+        self._beside = gui.add_html("")
         self._overlaid = gui.add_checkbox(
             "Other methods", initial_value=True, hint="Their ropes in the same scene"
         )
@@ -98,6 +99,7 @@ class EvaluationPage:
         self._pick.disabled = len(self._order) < 2
         if not self._order:
             self._table.content = "<div style='padding: 0 0.75em'>no trial passes the filter</div>"
+            self._beside.content = ""
             return
         self._pick_place(self._order.index(self._shown) if self._shown in self._order else 0)
 
@@ -122,6 +124,7 @@ class EvaluationPage:
             return
         index = self._order[self._place]
         self._table.content = table(self._rows, self._order, self._place, self._page.shown)
+        self._beside.content = beside(self._rows, index, self._page.shown)
         if index == self._shown and not again:
             return
         row = self._rows[index]

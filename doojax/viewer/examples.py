@@ -1,5 +1,6 @@
 """Made-up data sets and records to try the viewer on: a towed rope among boxes, without physics."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from doojax.datasets import DatasetWriter, Field
 from doojax.experiments.trials.outcomes import CONFIG, METHOD
 from doojax.experiments.trials.record_files import save_record
 from doojax.experiments.trials.records import Event, Grid, Look, PlanRecord, PredictionRecord, TrialRecord
-from doojax.experiments.trials.trial_list import line_of, note_trial
+from doojax.experiments.trials.trial_list import LIST, line_of, note_trial
 from doojax.geometry import signed_distance
 from doojax.types import Obstacles, ShapeKind
 
@@ -232,6 +233,17 @@ def write_evaluation(folder: Path, scenes: int, methods: Sequence[str]) -> None:
             save_record(folder / method / f"{scene:05d}.npz", record)
             note_trial(folder / method, line_of(record, scene))
     (folder / CONFIG).write_text('{"task": "rope_dragging", "seed": 0}')
+
+
+def write_long_list(folder: Path, trials: int) -> None:
+    """An evaluation of one method with more trials than records: the files of the others are empty."""
+    write_evaluation(folder, 4, ["classifier"])
+    listed = folder / "classifier" / LIST
+    first = json.loads(listed.read_text().splitlines()[0])
+    lines = [json.dumps(first | {"trial": number, "reached": number % 3 > 0}) for number in range(trials)]
+    listed.write_text("\n".join(lines) + "\n")
+    for number in range(4, trials):
+        (folder / "classifier" / f"{number:05d}.npz").touch()
 
 
 def trial_record(*, seed: int = 0, nodes: int = 1500) -> TrialRecord:

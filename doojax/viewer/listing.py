@@ -1,5 +1,6 @@
 """What there is to show at a path."""
 
+import itertools
 import os
 from pathlib import Path
 
@@ -46,6 +47,14 @@ def find_items(path: Path) -> list[Path]:
             f"{path} holds nothing that can be shown, but {describe_contents(path)}: {EXPECTATION}"
         )
     return found
+
+
+def changes_in(path: Path) -> tuple[tuple[str, int, int], ...]:
+    """Names, times and sizes of what lies at a path and two levels below: another when any of it changes."""
+    levels = [path], path.glob("*"), path.glob("*/*")
+    files = itertools.islice(itertools.chain(*levels), MOST_ITEMS)
+    found = [(str(file), file.lstat()) for file in files if file.exists()]
+    return tuple(sorted((name, about.st_mtime_ns, about.st_size) for name, about in found))
 
 
 def can_be_shown(path: Path) -> bool:

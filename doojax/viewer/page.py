@@ -149,23 +149,26 @@ class Page:
 
         return callback
 
-    def call(self, action: Callable[[], None]) -> None:
-        """Run ``action`` alone, send what it changes in one piece and show its error, if any."""
+    def call(self, action: Callable[[], None], aloud: bool = True) -> None:
+        """Run ``action`` alone, send what it changes in one piece and show its error, if any.
+
+        Only ``aloud`` the terminal hears of it, too.
+        """
         with self.lock:
             try:
                 with self.server.atomic():
                     action()
             except EXPECTED as error:
-                self.report(error)
+                self.report(error, aloud)
         self.server.flush()
 
     def key(self, text: str, key: Any, action: Callable[[], None]) -> None:
         """Let a key of the keyboard call ``action``; Ctrl-K in the page lists them all with their texts."""
         self.server.gui.add_command(text, hotkey=key).on_trigger(self.calling(action))
 
-    def report(self, error: Exception | str) -> None:
-        """Say in the page and on the terminal what is wrong, until `quiet`."""
-        self._say(self.message, str(error.args[0]) if isinstance(error, KeyError) else str(error))
+    def report(self, error: Exception | str, aloud: bool = True) -> None:
+        """Say in the page and, aloud, on the terminal what is wrong, until `quiet`."""
+        self._say(self.message, str(error.args[0]) if isinstance(error, KeyError) else str(error), aloud)
 
     def quiet(self) -> None:
         """Take the last message away: it no longer holds."""

@@ -153,6 +153,31 @@ def table(rows: Sequence[Row], order: Sequence[int], place: int, shown: Mapping[
     return f'{NARROW}<div class="trials" style="{SHOWN}">{rows_shown}</div>'
 
 
+def beside(rows: Sequence[Row], index: int, shown: Mapping[str, object]) -> str:
+    """What every method came to in the scene of a row, side by side, as HTML; "" where there is but one.
+
+    Args:
+        rows: all.
+        index: of the row.
+        shown: what an address must say to lead to this page.
+    """
+    scene = rows[index].line.trial
+    same = [row for row in rows if row.line.trial == scene]
+    if len(same) < 2:
+        return ""
+    lines = []
+    for row in same:
+        line = row.line
+        link = address({**shown, "method": row.method, "scene": scene})
+        name = html.escape(row.method)
+        name = f"<b>{name}</b>" if row is rows[index] else f'<a href="{html.escape(link)}">{name}</a>'
+        error = "" if line.error_m is None else f", {100 * line.error_m:.1f} cm away"
+        outcome = f"{'reached' if line.reached else 'failed'}{error}"
+        lines.append(f"<tr><td>{dot(row.method)} {name}</td><td>{outcome}, {line.actions} actions</td></tr>")
+    table = f'<table style="border-spacing: 0.5em 0">{"".join(lines)}</table>'
+    return f'<div class="beside" style="{SHOWN}">in scene {scene}:{table}</div>'
+
+
 def dot(method: str) -> str:
     """A dot in a method's colour, as HTML."""
     style = "display: inline-block; width: 0.8em; height: 0.8em; border-radius: 0.4em"

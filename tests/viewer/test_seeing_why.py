@@ -1,6 +1,5 @@
 """What one sees of why: mistaken predictions, plans that were left, many trials, runs over each other."""
 
-import json
 import re
 import shutil
 from dataclasses import replace
@@ -16,7 +15,7 @@ from doojax.experiments.trials.why import why
 from doojax.learning.runs import RunDirectory
 from doojax.viewer import colours, replan, trial_page
 from doojax.viewer.app import App, tunnel_hint
-from doojax.viewer.examples import trial_record, write_evaluation
+from doojax.viewer.examples import trial_record, write_evaluation, write_long_list
 from doojax.viewer.text import shortened
 from doojax.viewer.trial_table import chosen, read_rows
 
@@ -120,6 +119,27 @@ def test_trials_are_filtered_and_gone_through_by_key(view, evaluation):
     look.wait_for("no trial passes the filter")
 
 
+def test_methods_stand_side_by_side_and_lie_over_each_other_in_one_scene(view, evaluation):
+    look, _ = view(evaluation)
+    look.wait_for("rope dragging · classifier · seed 0")
+    look.press("k", "k", "k")
+    look.wait_for("rope dragging · no_classifier · seed 1")
+    look.wait_for("in scene 1:")
+    lines = look.page.locator(".beside tr")
+    look.until(lambda: lines.count() == 2)
+    error = 100 * load_record(evaluation / "classifier" / "00001.npz").about["final_error_m"]
+    for line, method, outcome in zip(lines.all(), METHODS, ("reached", "failed"), strict=True):
+        assert method in line.inner_text() and f"{outcome}, {error:.1f} cm away" in line.inner_text()
+        dot = "e => getComputedStyle(e).backgroundColor"
+        assert line.locator("span").first.evaluate(dot) == f"rgb{colours.METHODS[method]}"
+    assert lines.locator("a").inner_text() == "classifier"  # the one that is not shown
+    look.until(lambda: coloured(look.pixels(), "blue").sum() > 60)  # where the plan was, and its rope
+    both = look.pixels()
+    look.labelled("Other methods").first.click(force=True)
+    look.until(lambda: (look.pixels() != both).any(-1).sum() > 60)
+    assert lines.count() == 2
+
+
 def test_a_narrow_table_of_trials_says_all_that_a_wide_one_says(view, evaluation):
     look, _ = view(evaluation)
     look.wait_for("rope dragging · classifier · seed 0")
@@ -162,15 +182,8 @@ def test_an_address_leads_to_one_trial_state_and_camera(view, evaluation, new_lo
     other.page.close()
 
 
-def test_ten_thousand_trials_are_listed_without_opening_one(evaluation, tmp_path, server, opened):
-    shutil.copytree(evaluation / "classifier", tmp_path / "many" / "classifier")
-    shutil.copy(evaluation / "config.json", tmp_path / "many")
-    folder = tmp_path / "many" / "classifier"
-    first = json.loads((folder / "trials.jsonl").read_text().splitlines()[0])
-    with (folder / "trials.jsonl").open("w") as file:
-        for number in range(10_000):
-            file.write(json.dumps(first | {"trial": number, "reached": number % 3 > 0}) + "\n")
-            (folder / f"{number:05d}.npz").touch() if number >= SCENES else None  # no record: not to be read
+def test_ten_thousand_trials_are_listed_without_opening_one(tmp_path, server, opened):
+    write_long_list(tmp_path / "many", 10_000)  # whose other files are no records: not to be read
     while opened:
         opened.pop().close()
     opened.append(App(server, tmp_path / "many"))
@@ -191,6 +204,39 @@ def test_what_is_tried_while_one_looks_appears(view, evaluation, tmp_path):
     last.write_bytes(content)
     look.wait_for(f"{2 * SCENES} trials, 2 methods", 20)
     assert len(read_rows(folder)) == 2 * SCENES
+
+
+def test_an_evaluation_that_has_just_begun_is_shown_once_a_trial_is_finished(view, evaluation, tmp_path):
+    folder = tmp_path / "begun"
+    (folder / "classifier").mkdir(parents=True)
+    for name in ("config.json", "classifier/method.json"):
+        shutil.copy(evaluation / name, folder / name)
+    look, _ = view(folder)
+    look.wait_for("is empty: no trial is finished yet")
+    for number in (0, 1):
+        record = (evaluation / "classifier" / f"{number:05d}.npz").read_bytes()
+        (folder / "classifier" / "new").write_bytes(record)
+        (folder / "classifier" / "new").rename(folder / "classifier" / f"{number:05d}.npz")
+        with (folder / "classifier" / "trials.jsonl").open("a") as file:
+            file.write('{"trial": 1, "reach')  # half a line, of one that is not finished or was killed
+        look.wait_for(f"{number + 1} trials, 1 methods", 20)
+    assert look.page.get_by_text("is empty").count() == 0
+    look.wait_for("rope dragging · classifier · seed 0")
+
+
+def test_what_comes_to_a_folder_while_one_looks_is_offered(view, contents, tmp_path):
+    shutil.copy(contents / "trial.npz", tmp_path / "a.npz")
+    look, _ = view(tmp_path)
+    look.wait_for("reached the goal: goal reached")
+    look.enter("State", 3)
+    shutil.copy(contents / "prediction.npz", tmp_path / "b.tmp")
+    (tmp_path / "b.tmp").rename(tmp_path / "b.npz")
+    look.until(lambda: look.page.get_by_text("Show", exact=True).count() == 1, 20)
+    assert look.number("State") == 3  # what is shown stays as it is
+    look.choose("Show", "b.npz · prediction")
+    look.wait_for(re.compile("^prediction 0"))
+    look.choose("Show", "a.npz · goal reached")
+    look.wait_for("reached the goal: goal reached")
 
 
 def test_runs_lie_over_each_other_and_grow_while_training_goes_on(view, tmp_path):
