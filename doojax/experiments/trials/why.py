@@ -72,15 +72,15 @@ def explained(record: TrialRecord) -> str:
     last = len(record.points) - 1 if broke else len(record.points)  # a broken state is where nothing is
     left = [one for one in searches if one.departure is not None and one.departure.state < last]
     found, found_left = (sum(one.found for one in some) for some in (searches, left))
-    parts = _of_searches(record, searches)
+    parts, plans = _of_searches(record, searches), _plans(record.plans)
     if 2 * found >= len(searches) and left:  # there were plans to the goal: what came of them counts
-        parts.insert(0, _of_departures(_departures(left), record.method, len(searches)))
+        parts.insert(0, _of_departures(_departures(left), record.method, plans))
     elif found_left:  # what came of the others would not have led there
         some = _departures([one for one in left if one.found])
         parts.append(_of_departures(some, record.method, found, " that led to the goal"))
     elif any(one.departure and not one.departure.largest < BESIDE * one.missing for one in left):
         some = sorted(_departures(left), key=lambda one: one.largest, reverse=True)
-        parts.append(_of_departures(some, record.method, len(searches), which="farthest"))
+        parts.append(_of_departures(some, record.method, plans, which="farthest"))
     if broke:
         return "; ".join([f"{end} at state {last}", *parts])
     if not parts:
@@ -186,7 +186,13 @@ def _of_success(record: TrialRecord) -> str:
     left = [departure(record, index) for index in range(count - 1)]
     found = [one for one in left if one is not None]
     text = f"plan {count} led to the goal"
-    return f"{text}; before it {_of_departures(found, record.method, count - 1)}" if found else text
+    plans = _plans(record.plans[:-1])
+    return f"{text}; before it {_of_departures(found, record.method, plans)}" if found else text
+
+
+def _plans(plans: Sequence[PlanRecord]) -> int:
+    """How many there are that could be executed: a search that is stuck makes none."""
+    return sum(len(plan.path) > 1 for plan in plans)
 
 
 def _departures(searches: Sequence[Search]) -> list[Departure]:

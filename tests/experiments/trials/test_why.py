@@ -109,6 +109,15 @@ def test_where_nothing_was_accepted_the_number_of_rejections_is_said():
     )
 
 
+def test_a_search_that_is_stuck_makes_no_plan_that_could_be_left():
+    stuck = "stuck, 40.0 cm from the goal; 0 of 64 extensions accepted"
+    one = trial((0.4, 0.487), plan(0, 0.4, 0.6), plan(1, 0.487), said=[SOLVED, stuck])
+    assert explained(one).startswith("the executed rope left the plan by 11 cm at state 1")
+    again = [plan(1, 0.487, 0.5), plan(1, 0.487)]  # the second as planned, but for a trifle
+    two = trial((0.4, 0.487), plan(0, 0.4, 0.6), *again, said=[SOLVED, SOLVED, stuck])
+    assert explained(two).startswith("the executed rope left one of 2 plans, by 11 cm at state 1")
+
+
 def test_searches_that_found_no_way_say_how_near_they_came():
     text = "exhausted, 12.0 cm from the goal; 250 of 1000 extensions accepted"
     lost = trial((0.2, 0.25), plan(0, 0.2, 0.25), said=[text])
