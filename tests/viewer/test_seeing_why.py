@@ -105,11 +105,13 @@ def test_trials_are_filtered_and_gone_through_by_key(view, evaluation):
     look.wait_for("rope dragging · no_classifier · seed 0")
     look.choose("Show", "failed only")
     look.wait_for("rope dragging · no_classifier · seed 1")
-    assert look.page.get_by_role("row").filter(has_text="failed").count() == 2
+    assert look.page.locator(".trials").get_by_role("row").filter(has_text="failed").count() == 2
     look.press("k")
     look.wait_for("rope dragging · no_classifier · seed 3")
     look.choose("Show", "classifier reached, no_classifier did not")
-    look.until(lambda: look.page.get_by_role("row").filter(has_text="reached").count() == 2)
+    look.until(
+        lambda: look.page.locator(".trials").get_by_role("row").filter(has_text="reached").count() == 2
+    )
     look.wait_for("rope dragging · no_classifier · seed 3")  # it stays while it passes the filter
     other = app._page.drawing._handles["others/classifier/rope"]
     assert tuple(other._meshes[0].color) == colours.METHODS["classifier"]

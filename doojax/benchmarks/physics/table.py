@@ -27,7 +27,7 @@ def rows(findings: Sequence[Finding]) -> Iterator[Row]:
 
 def show(findings: Sequence[Finding]) -> None:
     """Print value, closed form, error and verdict of each."""
-    columns = (Column(head, no_wrap=True) for head in ("value", "closed form", "error", ""))
+    columns = (Column(head, no_wrap=True) for head in ("value", "closed\nform", "error", ""))
     table = Table("case, of what", *columns, box=SIMPLE_HEAD, pad_edge=False)
     for one in findings:
         place = ", ".join(str(one.tags[name]) for name in SHOWN_APART if name in one.tags)
