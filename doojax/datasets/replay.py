@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Column, Table
 
@@ -182,7 +181,7 @@ def _show(console: Console, points, stored_points, faults, stored_faults, again:
     gap = np.linalg.norm(points - stored_points, axis=-1).max(-1)
     heads = ("period", "gap to\nstored (m)", "clearance\n(m)", "stretch", "faults", "stored\nfaults")
     columns = (Column(head, no_wrap=True) for head in heads)  # all of it in a terminal of 80 columns
-    table = Table(*columns, box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(*columns, box=None, padding=(0, 1, 0, 0))
     for period in range(len(faults)):
         table.add_row(
             str(period),
