@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import doojax
-from doojax.commands import COMMANDS, Commands, load
+from doojax.commands import COMMANDS, Commands, first_name, load
 from doojax.optional import advice
 
 X64 = (
@@ -79,7 +79,7 @@ def run(arguments: Sequence[str], commands: Commands, program: str) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         show(commands, program)
         return 0
-    name, *rest = arguments
+    name, rest = first_name(arguments, commands)
     if name == "--version" and program == "doojax":
         print(f"doojax {doojax.__version__}")
         return 0

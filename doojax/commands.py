@@ -62,6 +62,10 @@ BENCHMARKS: Commands = {
 COMMANDS: Commands = {
     "collect": ("doojax.datasets.collect:collect", "collect random trajectories of a task"),
     "train": ("doojax.experiments.training.train:train", "train dynamics, a classifier, a recovery network"),
+    "train policy": (
+        "doojax.experiments.training.policy:train_policy",
+        "train a policy of a task by trying, for doojax evaluate",
+    ),
     "augment": (
         "doojax.augmentation.command:augment_dataset",
         "move what a data set holds to where it is as valid",
@@ -129,6 +133,17 @@ COMMANDS: Commands = {
 }
 
 
+def first_name(words: Sequence[str], commands: Commands) -> tuple[str, list[str]]:
+    """The command that words begin with, of two words if there is one of both, and what follows it.
+
+    It need not be one of ``commands``; "" where there are no words.
+    """
+    for length in (2, 1):
+        if (name := " ".join(words[:length])) in commands:
+            return name, list(words[length:])
+    return "".join(words[:1]), list(words[1:])
+
+
 def load(target: str) -> Callable[..., Any]:
     """The function that "module:function" names."""
     module, _, function = target.partition(":")
@@ -152,7 +167,7 @@ def names_of(function: Callable[..., Any], commands: Commands = COMMANDS) -> tup
     def found(table: Commands, names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
         for name, (target, _) in table.items():
             if target == wanted:
-                yield (*names, name)
+                yield (*names, *name.split())
             elif not isinstance(target, str):
                 yield from found(target, (*names, name))
 
@@ -218,9 +233,10 @@ def _parsed(words: Sequence[str]) -> tuple[Callable[..., Any], dict[str, Any]]:
     target: str | Commands = COMMANDS
     rest = list(words[1:])
     while not isinstance(target, str):
-        if not rest or rest[0] not in target:
+        name, rest = first_name(rest, target)
+        if name not in target:
             raise ValueError(f"{shlex.join(words)!r} names no command of: {', '.join(target)}")
-        target = target[rest.pop(0)][0]
+        target = target[name][0]
     function = load(target)
 
     @functools.wraps(function)

@@ -17,6 +17,7 @@ from doojax.models.deviation import DeviationEstimator
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble
 from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
+from doojax.models.policy import Policy, PolicyConfig
 from doojax.models.pouring import PouringConfig, PouringDynamics, PouringJudgeConfig
 from doojax.models.recovery import RecoveryNetwork
 from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
@@ -73,11 +74,17 @@ def voxel_classifier(config: Mapping[str, Any]) -> VoxelClassifier:
     return VoxelClassifier(checked(config, VoxelClassifierConfig), key=stream(0, "structure"))
 
 
+def policy(config: Mapping[str, Any]) -> Policy:
+    """A `Policy`; config: the fields of `PolicyConfig`."""
+    return Policy(checked(config, PolicyConfig), key=stream(0, "structure"))
+
+
 BUILDERS: Mapping[str, Callable[[dict[str, Any]], Any]] = {
     "dynamics": dynamics,
     "classifier": classifier,
     "recovery": recovery,
     "deviation": deviation,
     "full_dynamics": full_dynamics,
+    "policy": policy,
     "voxel_classifier": voxel_classifier,
 }

@@ -75,7 +75,7 @@ def evaluate(
     Args:
         task: rope_dragging, dual_gripper or toy.
         methods: some of classifier, voxel_classifier, deviation, no_classifier, collision_checker,
-            full_dynamics, learned_recovery, random_recovery, oracle.
+            full_dynamics, learned_recovery, random_recovery, oracle, policy.
         out: the evaluation's folder; new, empty, or the same evaluation unfinished.
         models: a folder of trained models, or of folders with a model.eqx each; by default those that come
             with doojax. Where there are none, the dynamics are the simulator's own without obstacles.

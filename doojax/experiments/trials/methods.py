@@ -59,7 +59,7 @@ def needed_models(name: str, models: Mapping[str, Path]) -> dict[str, Path]:
     if name not in RECIPES:
         raise ValueError(f"unknown method {name!r}, expected one of {', '.join(RECIPES)}")
     recipe = RECIPES[name]
-    kinds = {recipe.dynamics, recipe.reliability, recipe.recovery} - NOT_LEARNED
+    kinds = {recipe.dynamics, recipe.reliability, recipe.recovery, recipe.policy} - NOT_LEARNED
     if not models:
         kinds -= {"dynamics"}
     missing = sorted(kind for kind in kinds if kind and kind not in models)
@@ -128,6 +128,8 @@ def make_method(
         return unlearned[kind]() if kind in unlearned else loaded(kind)
 
     recovery = judge(recipe.recovery) if recipe.recovery else None
+    if recipe.policy:
+        made["policy"] = loaded(recipe.policy)
     judging = judge(recipe.reliability)
     made["error_threshold_m"] = errors.get(recipe.reliability) or errors.get(recipe.dynamics)
     return Method(name, dynamics, judging, recovery, **made)

@@ -58,7 +58,8 @@ def plan(
     Args:
         task: rope_dragging, dual_gripper or toy.
         method: one of classifier, voxel_classifier, deviation, no_classifier, collision_checker,
-            full_dynamics, learned_recovery, random_recovery, oracle; by default classifier if there is one.
+            full_dynamics, learned_recovery, random_recovery, oracle, policy; by default classifier if there
+            is one.
         models: a folder of trained models, or of folders with a model.eqx each; by default those that come
             with doojax.
         scene: the number of one of the task's scenes for trials; by default a scene drawn by the seed.

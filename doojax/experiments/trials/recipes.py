@@ -11,6 +11,7 @@ class Recipe:
     dynamics: str
     reliability: str = "always"
     recovery: str | None = None
+    policy: str | None = None  # acts on what it sees: nothing is planned
 
 
 RECIPES: Mapping[str, Recipe] = {
@@ -23,4 +24,5 @@ RECIPES: Mapping[str, Recipe] = {
     "learned_recovery": Recipe("dynamics", "classifier", "recovery"),
     "random_recovery": Recipe("dynamics", "classifier", "random"),
     "oracle": Recipe("simulator"),
+    "policy": Recipe("simulator", policy="policy"),
 }

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from doojax.models.policy import Policy
 from doojax.models.protocols import Dynamics, Recovery, Reliability
 from doojax.planning import Goal, HostDynamics
 from doojax.simulation.state import SimState, Simulator
@@ -23,6 +24,7 @@ class Method:
     recovery: Recovery | None = None  # None: a trial that is stuck is given up
     begin: Callable[[Simulator, SimState], State] = observed  # the state that a plan starts from
     error_threshold_m: float | None = None  # of the model error, below which a prediction counts as right
+    policy: Policy | None = None  # if there is one, it acts, and nothing is planned
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from doojax.actions import nothing_of
+from doojax.environments.observations import features, taken
 from doojax.experiments.trials.execution import Moves, carry_out, distances
 from doojax.experiments.trials.judges import threshold_of
 from doojax.experiments.trials.log import REACHED, Log, element, record_plan
@@ -25,6 +26,7 @@ from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.setting import Method, Trials, TrialSettings
 from doojax.experiments.trials.why import explained
 from doojax.keys import numbered, stream
+from doojax.models.policy import Policy
 from doojax.parts import in_threads
 from doojax.planning import (
     Goal,
@@ -92,7 +94,9 @@ def run_trials(
     for log, run in zip(logs, trials.wanted or [True] * len(logs), strict=True):
         if not run:
             log.stop(NOT_WANTED)
-    for turn in range(settings.searches + 1):
+    if method.policy is not None:
+        _follow(task, simulator, method.policy, settings, trials, logs, limits, execute)
+    for turn in range(0 if method.policy is not None else settings.searches + 1):
         _judge(logs, goals, seen, turn, settings)
         running = np.array([log.end is None for log in logs])
         if not running.any():
@@ -180,6 +184,40 @@ def _noted_plan(log: Log, planner: Rrt, found: tuple[Problem, Tree], keep_trees:
         text += f"; shortcuts left {len(plan.actions)} of {before} actions"
     log.note("plan", text)
     return plan
+
+
+def _follow(
+    task: Task,
+    simulator: Simulator,
+    policy: Policy,
+    settings: TrialSettings,
+    trials: Trials,
+    logs: Sequence[Log],
+    limits: Float[np.ndarray, "R"],
+    execute: bool,
+) -> None:
+    """Have a policy act in every trial, one control period after another, if anything is to be executed."""
+    states, goals = trials.starts, trials.goals
+    obstacles, seen = jax.vmap(simulator.obstacles)(states), observed(simulator, states)
+    for _ in range(settings.actions + 1):
+        _judge(logs, goals, seen, 0, settings)
+        for log in logs if not execute else []:
+            log.stop(NOT_EXECUTED)
+        if all(log.end is not None for log in logs):
+            return
+        actions = np.asarray(_acts(task, policy, obstacles, seen, goals))
+        moves = [Moves(action[None]) for action in actions]
+        states, seen = carry_out(simulator, states, seen, goals, logs, moves, settings, limits)
+
+
+@eqx.filter_jit
+def _acts(
+    task: Task, policy: Policy, obstacles: Obstacles, seen: State, goals: Goal
+) -> Float[Array, "R ..."]:
+    def one(obstacles: Obstacles, state: State, goal: Goal) -> Array:
+        return taken(task, state, policy(features(task, obstacles, state, goal)))
+
+    return jax.vmap(one)(obstacles, seen, goals)
 
 
 def _record(
