@@ -24,6 +24,10 @@ PROGRAM, AND = "doojax", "&&"  # between commands of which each needs the one be
 BENCHMARKS: Commands = {
     "planner": ("doojax.benchmarks.planner:planner", "extensions per second beside OMPL's RRT"),
     "rollouts": ("doojax.benchmarks.rollouts:rollouts", "steps per second of every engine"),
+    "package": (
+        "doojax.benchmarks.package:package",
+        "size of the wheel, seconds of an import, cells of a sweep a minute",
+    ),
     "collect": ("doojax.benchmarks.collection:collection", "minutes for the thesis's data"),
     "mppi": ("doojax.benchmarks.mppi:mppi", "control of a pendulum, beside pytorch-mppi"),
     "motion": (
