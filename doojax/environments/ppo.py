@@ -55,14 +55,16 @@ class PpoSettings:
         for name, value in vars(self).items():
             if not value > 0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
-        if self.environments % MINIBATCHES:
-            text = f"expected a multiple of {MINIBATCHES}, the minibatches"
-            raise ValueError(f"environments is {self.environments}, {text}")
 
     @property
     def updates(self) -> int:
         """How many there are, at least one."""
         return max(1, round(self.steps / (self.environments * self.unroll)))
+
+    @property
+    def whole_steps(self) -> int:
+        """Control periods of that many updates."""
+        return self.updates * self.environments * self.unroll
 
 
 class Learner(NamedTuple):
@@ -87,7 +89,13 @@ class Ppo:
             environment: what the policy is to do.
             settings: how it learns.
             seed: of everything that is random.
+
+        Raises:
+            ValueError: environments side by side that are no multiple of 4, the minibatches.
         """
+        if settings.environments % MINIBATCHES:
+            text = f"expected a multiple of {MINIBATCHES}, the minibatches"
+            raise ValueError(f"environments is {settings.environments}, {text}")
         self.environment, self.settings = environment, settings
         size, actions = environment.observation_size, environment.action_size
         hidden = (settings.width,) * settings.depth

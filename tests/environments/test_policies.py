@@ -101,6 +101,10 @@ def test_episodes_of_training_end_in_time_and_others_begin():
     pytest.importorskip("brax")
     from doojax.environments.ppo import Ppo, PpoSettings
 
+    with pytest.raises(ValueError, match="environments is 6, expected a multiple of 4"):
+        Ppo(ENVIRONMENT, PpoSettings(environments=6), 0)
+    with pytest.raises(ValueError, match="unroll is 0, expected more than 0"):
+        PpoSettings(unroll=0)
     ppo = Ppo(ENVIRONMENT, PpoSettings(environments=4, episode=2, width=8, depth=1), 0)
     first = learner = ppo.begin()
     rewards, cut = [], []
@@ -129,10 +133,6 @@ def test_the_shim_makes_copies_with_a_first_axis_and_leaves_nothing_behind():
         tree = jax.device_put_replicated({"a": jnp.arange(3.0)}, jax.devices()[:1])
     np.testing.assert_array_equal(tree["a"], [[0.0, 1.0, 2.0]])
     assert hasattr(jax, "device_put_replicated") == there
-    with pytest.raises(ValueError, match="environments is 6, expected a multiple of 4"):
-        from doojax.environments.ppo import PpoSettings
-
-        PpoSettings(environments=6)
 
 
 @pytest.mark.slow

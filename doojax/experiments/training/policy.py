@@ -46,7 +46,8 @@ def train_policy(
 ) -> None:
     """Train a policy of a task by proximal policy optimisation, and measure it beside a random one.
 
-    A run that was killed goes on where it was when the same command is given again. `doojax evaluate` takes
+    A run that was killed goes on where it was when the same command is given again, and one that is done with
+    more steps: how many they are to be in all changes nothing of those before. `doojax evaluate` takes
     the folder above that by --models: the method policy then stands beside planners.
 
     Args:
@@ -62,17 +63,21 @@ def train_policy(
             default they are only shown.
 
     Raises:
-        ValueError: for an unknown task or engine, or a folder that holds something else.
+        ValueError: for an unknown task or engine, settings that train nothing, no episodes, or a folder that
+            holds something else.
         ModuleNotFoundError: brax is missing; the message says what brings it.
     """
     check_seed(seed)
+    if episodes < 1:
+        raise ValueError(f"episodes is {episodes}, expected at least 1")
     command = command_line(train_policy, locals())
     environment = make_environment(task, engine=engine, phase=phase)
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
     config = {"what": "policy", "task": task, "phase": phase, "engine": engine, "seed": seed}
+    settings = {name: value for name, value in asdict(ppo).items() if name != "steps"}
     with alone_in(out), progress_bar(console) as progress:
-        run = RunDirectory.open(out, config | {"ppo": asdict(ppo)})
-        if not run.finished:
+        run = RunDirectory.open(out, config | {"ppo": settings})
+        if _trained_steps(run) != ppo.whole_steps:
             bar = progress.add_task(f"policy of {task}", total=ppo.updates, note="compiling")
             _trained(run, Ppo(environment, ppo, seed), config, lambda **shown: progress.update(bar, **shown))
     policy, header = load_model(out, task=task, kind="policy")
@@ -84,18 +89,30 @@ def train_policy(
     show(rows, json)
 
 
+def _trained_steps(run: RunDirectory) -> int | None:
+    """What the policy that is there was trained for, control periods."""
+    return load_model(run.path)[1].about.get("steps") if run.finished else None
+
+
 def _trained(run: RunDirectory, ppo: Ppo, config: dict[str, Any], tell: Any) -> None:
     """Train to the end, from where the run was."""
     settings = ppo.settings
     done, learner = run.resume(ppo.begin())
+    if done > settings.updates:
+        had = done * settings.environments * settings.unroll
+        raise ValueError(f"{run.path} has had {had} steps already, more than {settings.steps}: ask for more")
     for number in range(done, settings.updates):
         learner, ended = ppo.update(learner, number)
         gained = float(ended.mean()) if len(ended) else 0.0
         run.log({UPDATE: number + 1, RETURN: gained, ENDED: len(ended)})
         tell(completed=number + 1, note=f"return of an episode {gained:.2f}")
         run.save(number + 1, learner)
-    steps = settings.updates * settings.environments * settings.unroll
-    about = {"seed": config["seed"], "steps": steps, "phase": config["phase"], "engine": config["engine"]}
+    about = {
+        "seed": config["seed"],
+        "steps": settings.whole_steps,
+        "phase": config["phase"],
+        "engine": config["engine"],
+    }
     task = ppo.environment.task.name
     about |= {SAW: [{"stream": "/".join(PURPOSE), "seed": config["seed"], "task": task}]}
     about |= {"brax": importlib.metadata.version("brax")}

@@ -1,6 +1,7 @@
 """`doojax train policy`: it goes on where it was killed, says what it gains, and others evaluate its work."""
 
 import json
+from dataclasses import replace
 
 import jax.numpy as jnp
 import pytest
@@ -32,6 +33,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_weights_and_publishes_what_it
         train_policy("toy", out=tmp_path / "models/policy", **told)
     assert (tmp_path / "models/policy/last.eqx").exists()
     monkeypatch.setattr(Ppo, "update", update)
+    train_policy("toy", out=tmp_path / "models/policy", episodes=6, ppo=replace(SMALL, steps=8))
     capsys.readouterr()
     train_policy("toy", out=tmp_path / "models/policy", publish=tmp_path, json=True, **told)
     whole, again = (tmp_path / run / "model.eqx" for run in ("whole", "models/policy"))
@@ -39,6 +41,8 @@ def test_a_run_that_was_killed_goes_on_to_the_same_weights_and_publishes_what_it
     lines = [json.loads(line) for line in (tmp_path / "whole/metrics.jsonl").read_text().splitlines()]
     assert [line["epoch"] for line in lines] == [1, 2]
 
+    with pytest.raises(ValueError, match="has had 16 steps already, more than 8: ask for more"):
+        train_policy("toy", out=tmp_path / "whole", episodes=6, ppo=replace(SMALL, steps=8))
     policy, header = load_model(again, task="toy", kind="policy")
     assert header.about["steps"] == 16 and find_models(tmp_path / "models", "toy") == {"policy": again}
     assert policy(jnp.zeros(27)).shape == (2,)
