@@ -107,12 +107,7 @@ def _trained(run: RunDirectory, ppo: Ppo, config: dict[str, Any], tell: Any) -> 
         run.log({UPDATE: number + 1, RETURN: gained, ENDED: len(ended)})
         tell(completed=number + 1, note=f"return of an episode {gained:.2f}")
         run.save(number + 1, learner)
-    about = {
-        "seed": config["seed"],
-        "steps": settings.whole_steps,
-        "phase": config["phase"],
-        "engine": config["engine"],
-    }
+    about = {"steps": settings.whole_steps, **{name: config[name] for name in ("seed", "phase", "engine")}}
     task = ppo.environment.task.name
     about |= {SAW: [{"stream": "/".join(PURPOSE), "seed": config["seed"], "task": task}]}
     about |= {"brax": importlib.metadata.version("brax")}
