@@ -5,7 +5,7 @@ MuJoCo C, which is many times as fast as MJX on a CPU, cannot; and it cannot go 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -229,5 +229,5 @@ def policy_of(config: PolicyConfig, scaling: Any, parameters: Mapping[str, Any])
         weight, bias = jnp.asarray(theirs["kernel"]).T, jnp.asarray(theirs["bias"])
         size = layer.weight.shape[0]  # the last layer gives locations, then spreads
         layers.append(eqx.tree_at(lambda one: (one.weight, one.bias), layer, (weight[:size], bias[:size])))
-    network = eqx.tree_at(lambda one: one.layers, policy.network, tuple(layers))
-    return replace(policy, mean=jnp.asarray(scaling.mean), scale=jnp.asarray(scaling.std), network=network)
+    learned = jnp.asarray(scaling.mean), jnp.asarray(scaling.std), tuple(layers)
+    return eqx.tree_at(lambda one: (one.mean, one.scale, one.network.layers), policy, learned)

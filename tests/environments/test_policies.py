@@ -56,19 +56,20 @@ def test_a_policy_stands_beside_the_planners(tmp_path):
 
 def test_returns_are_those_of_one_episode_after_another():
     """Heading for the goal: each start's return, added up step by step; chance gets less."""
-    policy, key = heading_for_the_goal(), jax.random.key(5)
-    found = episodes(ENVIRONMENT, lambda seen, _: jax.vmap(policy)(seen), key, 5, 12)
-    starts = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.split(key)[0], jnp.arange(5))
+    policy, key = heading_for_the_goal(), lambda: jax.random.key(5)
+    acts = jax.jit(jax.vmap(policy))
+    found = episodes(ENVIRONMENT, lambda seen, _: acts(seen), key(), 5, 12)
+    starts = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.split(key())[0], jnp.arange(5))
     reset, step = jax.jit(ENVIRONMENT.reset), jax.jit(ENVIRONMENT.step)
     for start, gained, reached in zip(starts, *found, strict=True):
         state, total = reset(start), 0.0
         for _ in range(12):
-            state = step(state, policy(state.observation))
+            state = step(state, acts(state.observation[None])[0])
             total += float(state.reward)
             if state.done:
                 break
         assert gained == pytest.approx(total, abs=1e-4) and reached == bool(state.reached)
-    chance = episodes(ENVIRONMENT, random_acts(ENVIRONMENT), key, 5, 12)
+    chance = episodes(ENVIRONMENT, random_acts(ENVIRONMENT), key(), 5, 12)
     assert chance.gained.mean() < found.gained.mean()
 
 

@@ -127,10 +127,13 @@ def return_rows(
         steps: control periods of one, at most.
         seed: of starts, goals and random actions.
     """
-    key = stream(seed, "measure", "policy", environment.task.name)
     mode = jax.jit(jax.vmap(policy))
-    learned = run_episodes(environment, lambda seen, _: mode(seen), key, count, steps)
-    chance = run_episodes(environment, random_acts(environment), key, count, steps)
+    learned, chance = (
+        run_episodes(
+            environment, acts, stream(seed, "measure", "policy", environment.task.name), count, steps
+        )
+        for acts in (lambda seen, _: mode(seen), random_acts(environment))
+    )
     rows = []
     for found, own in ((learned, tags), (chance, tags | {"policy": "random", "steps": 0})):
         for metric, at in (
