@@ -98,32 +98,43 @@ def test_a_killed_worker_loses_nothing(napping, tmp_path):
     survives_a_killed_worker(tmp_path / "out", napping, 10)
 
 
-@pytest.mark.slow
-def test_a_hundred_cells_survive_a_killed_worker(napping, tmp_path):
-    survives_a_killed_worker(tmp_path / "out", napping, 100)
+def survives_killed_drivers(folder: Path, count: int, kills: int) -> None:
+    """Drivers are killed, one after another, while their workers go on; the last one ends the sweep."""
+    out, spec = folder / "out", folder / "spec.yaml"
+    spec.write_text(f"command: doojax nap {{who}} --out {{out}}\ngrid: {{who: {[*range(count)]}}}\n")
+    code = DRIVE.format(folder=str(folder), work=WORK.format(folder=str(folder)))
+    command = [sys.executable, "-c", code, str(spec), str(out)]
+    killed = []
+    try:
+        for number in range(kills):
+            killed.append(subprocess.Popen(command, start_new_session=True))
+            deadline = time.monotonic() + 60
+            wanted = 2 + number * count // (2 * kills)
+            while len(list(out.glob(f"{FOLDER}/*/{DONE}"))) < wanted and time.monotonic() < deadline:
+                time.sleep(0.02)
+            killed[-1].kill()  # its workers go on
+            killed[-1].wait()
+        last = subprocess.run(command, capture_output=True, text=True, timeout=100 + count)
+    finally:
+        for driver in killed:
+            with contextlib.suppress(ProcessLookupError):  # all have ended
+                os.killpg(driver.pid, signal.SIGKILL)
+    assert last.returncode == 0, last.stderr
+    assert times_begun(out, cells_of(read_spec(spec))) == [1] * count
+    lines = (out / "sweep.csv").read_text().splitlines()
+    assert lines[0].startswith("cell,who,metric") and len(lines) == count + 1
 
 
 def test_a_killed_driver_goes_on_where_it_was(napping, tmp_path):
-    out, spec = tmp_path / "out", tmp_path / "spec.yaml"
-    spec.write_text("command: doojax nap {who} --out {out}\ngrid: {who: [0, 1, 2, 3, 4, 5, 6, 7]}\n")
-    code = DRIVE.format(folder=str(tmp_path), work=WORK.format(folder=str(tmp_path)))
-    command = [sys.executable, "-c", code, str(spec), str(out)]
-    first = subprocess.Popen(command, start_new_session=True)
-    try:
-        deadline = time.monotonic() + 60
-        while len(list(out.glob(f"{FOLDER}/*/{DONE}"))) < 2 and time.monotonic() < deadline:
-            time.sleep(0.02)
-        first.kill()  # its workers go on
-        first.wait()
-        second = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    finally:
-        with contextlib.suppress(ProcessLookupError):  # all have ended
-            os.killpg(first.pid, signal.SIGKILL)
-    assert second.returncode == 0, second.stderr
-    cells = cells_of(read_spec(spec))
-    assert times_begun(out, cells) == [1] * 8
-    lines = (out / "sweep.csv").read_text().splitlines()
-    assert lines[0].startswith("cell,who,metric") and len(lines) == 9
+    survives_killed_drivers(tmp_path, 8, kills=1)
+
+
+@pytest.mark.slow
+def test_a_hundred_cells_survive_killed_workers_and_drivers(napping, tmp_path):
+    survives_a_killed_worker(tmp_path / "out", napping, 100)
+    (tmp_path / "drivers").mkdir()
+    (tmp_path / "drivers/nap.py").write_text(NAP)
+    survives_killed_drivers(tmp_path / "drivers", 100, kills=3)
 
 
 def test_a_cell_that_fails_is_said_and_one_that_kills_its_workers_is_given_up(napping, tmp_path):
