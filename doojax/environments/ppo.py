@@ -23,12 +23,19 @@ from doojax.optional import advice
 from doojax.simulation.engines.quiet_mjx import mjx as mjx  # before brax imports it, which would print
 
 try:
+    from brax.training import gradients as brax_gradients
+    from brax.training import types as brax_types
     from brax.training.acme import running_statistics, specs
-    from brax.training.agents.ppo import losses, networks
-    from brax.training.gradients import gradient_update_fn
-    from brax.training.types import Transition
+    from brax.training.agents.ppo import losses as brax_losses
+    from brax.training.agents.ppo import networks as brax_networks
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(advice(error), name=error.name) from error
+
+# what these declare is narrower than what they take
+losses: Any = brax_losses
+networks: Any = brax_networks
+gradients: Any = brax_gradients
+types: Any = brax_types
 
 PURPOSE = ("train", "ppo")  # of the random streams
 MINIBATCHES, PASSES = 4, 4  # of an update: in how many parts, how often
@@ -70,7 +77,7 @@ class PpoSettings:
 class Learner(NamedTuple):
     """All that goes on from one update to the next: arrays alone."""
 
-    parameters: losses.PPONetworkParams
+    parameters: Any  # brax's PPONetworkParams
     scaling: running_statistics.RunningStatisticsState
     optimiser: Any
     states: EnvironmentState
@@ -135,16 +142,16 @@ class Ppo:
             ended.append(np.asarray(gained)[over])
         data = jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=1), *rows)
         key = jax.random.fold_in(self._keys("learns"), number)
-        mended = self._mended((learner.parameters, learner.scaling, learner.optimiser), data, key)
-        return Learner(*mended, *learner[3:]), np.concatenate(ended)
+        before = (learner.parameters, learner.scaling, learner.optimiser)
+        parameters, scaling, optimiser = self._mended(before, data, key)
+        mended = learner._replace(parameters=parameters, scaling=scaling, optimiser=optimiser)
+        return mended, np.concatenate(ended)
 
     def policy(self, learner: Learner) -> Policy:
         """What has been learned."""
         return policy_of(self.config, learner.scaling, learner.parameters.policy)
 
-    def _period(
-        self, learner: Learner, key: Array
-    ) -> tuple[Learner, Transition, np.ndarray, Float[Array, "B"]]:
+    def _period(self, learner: Learner, key: Array) -> tuple[Learner, Any, np.ndarray, Float[Array, "B"]]:
         """One control period of all episodes; those that are over then begin anew."""
         before = learner.states.observation
         action, extras = self._acts((learner.scaling, learner.parameters.policy), before, key)
@@ -152,7 +159,7 @@ class Ppo:
         lasted, gained = learner.lasted + 1, learner.gained + after.reward
         truncated = (lasted >= self.settings.episode) & ~after.done
         over = after.done | truncated
-        row = Transition(
+        row = types.Transition(
             observation=before,
             action=action,
             reward=after.reward,
@@ -191,7 +198,7 @@ class Ppo:
     def _act(self, parameters: Any, observations: Float[Array, "B D"], key: Array) -> tuple[Array, Any]:
         return networks.make_inference_fn(self._networks)(parameters)(observations, key)
 
-    def _mend(self, weights: tuple[Any, Any, Any], data: Transition, key: Array) -> tuple[Any, Any, Any]:
+    def _mend(self, weights: tuple[Any, Any, Any], data: Any, key: Array) -> tuple[Any, Any, Any]:
         """Several passes over what was collected, [B, T, ...], in parts."""
         parameters, scaling, optimiser = weights
         scaling = running_statistics.update(scaling, data.observation, std_min_value=LEAST_SPREAD)
@@ -201,7 +208,7 @@ class Ppo:
             entropy_cost=self.settings.entropy,
             discounting=self.settings.discount,
         )
-        gradient_step = gradient_update_fn(loss, self._optimiser, pmap_axis_name=None, has_aux=True)
+        gradient_step = gradients.gradient_update_fn(loss, self._optimiser, pmap_axis_name=None, has_aux=True)
 
         def part(carry, given):
             rows, key = given
