@@ -1,9 +1,8 @@
 """MPPI beside LQR and the closed form of its mean; swing-ups; errors."""
 
-from types import SimpleNamespace
-
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
