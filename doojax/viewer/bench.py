@@ -185,7 +185,7 @@ def changing_least(server: Server, page: "Page") -> Row:
 
 def stepped(page: "Page", node: str) -> Float[np.ndarray, "k 2"]:
     """Milliseconds from each of many keys to a node's new place, and to the new picture."""
-    letters = ["L" if step // 20 % 2 == 0 else "J" for step in range(CHANGES)]
+    letters = ["L" if step // 3 % 2 == 0 else "J" for step in range(CHANGES)]  # a trial may be short
     return np.array([page.evaluate(CHANGE, [letter, node]) for letter in letters])
 
 
