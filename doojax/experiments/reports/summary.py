@@ -188,6 +188,7 @@ def show(rows: Sequence[Row], as_json: bool) -> None:
     table = Table("metric, of what", *numbers, box=SIMPLE_HEAD, pad_edge=False)
     for one in rows:
         tags = ", ".join(f"{name} {value}" for name, value in one.tags.items())
+        tags = tags.replace(",", ", ").replace(",  ", ", ")  # where a value is a list, a line may end, too
         interval = "" if one.low is None or one.high is None else f"{one.low:,.4g} to {one.high:,.4g}"
         named = Text(one.metric, "bold") + Text(f"\n{tags}" if tags else "", "dim")  # whole at 80 columns
         table.add_row(named, f"{one.value:,.4g}", interval, one.unit)
