@@ -14,7 +14,19 @@ ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "doojax").rglob("*.py"))
 
 # What every part may import; of these themselves each only those before it.
-GROUND = ["optional", "types", "modules", "keys", "parts", "reading", "files", "commands", "actions", "goals"]
+GROUND = [
+    "optional",
+    "types",
+    "modules",
+    "keys",
+    "parts",
+    "reading",
+    "files",
+    "terminal",
+    "commands",
+    "actions",
+    "goals",
+]
 # What else each part may import, beside itself: a model knows no simulator, planning knows no task.
 MAY_IMPORT = {
     "geometry": set(),

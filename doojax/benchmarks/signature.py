@@ -23,10 +23,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
 from doojax import topology
 from doojax.benchmarks.medians import median_with_interval
@@ -35,6 +32,7 @@ from doojax.commands import command_line
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.summary import publish_rows, row
 from doojax.keys import stream
+from doojax.terminal import labelled, narrow_table
 from doojax.topology.describe import THREADING, Scene, read_scene
 
 SEED = 0
@@ -65,15 +63,14 @@ def signature(*, json: bool = False, publish: Path | None = None) -> None:
     if json:
         print(json_format.dumps([asdict(row) for row in rows], indent=1))
         return
-    heads = ("batch", "μs per signature", "times faster")
-    columns = (Column(head, no_wrap=True) for head in heads)  # all of it in a terminal of 80 columns
-    table = Table("scene, implementation", *columns, box=SIMPLE_HEAD, pad_edge=False)
+    table = narrow_table("scene, implementation", "batch", "μs per signature", "times faster")
     faster = {tuple(one.tags.values()): one.value for one in rows if one.metric == "speedup"}
     for entry in (one for one in rows if one.metric == "us_per_signature"):
         scene, implementation, batch = (str(tag) for tag in entry.tags.values())
         ratio = faster.get((scene, implementation, int(batch)))
-        named = Text(scene) + Text(f"\n{implementation}", "dim")
-        table.add_row(named, batch, f"{entry.value:.4g}", f"{ratio:.4g}" if ratio else "")
+        table.add_row(
+            labelled(scene, implementation), batch, f"{entry.value:.4g}", f"{ratio:.4g}" if ratio else ""
+        )
     Console().print(table)
 
 

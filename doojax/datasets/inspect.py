@@ -13,11 +13,11 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from rich.text import Text
 
 from doojax.datasets.collect import command_of
 from doojax.datasets.store import Dataset
 from doojax.simulation.state import Fault
+from doojax.terminal import labelled
 from doojax.types import Verdict
 
 QUATERNION_TOLERANCE = 1e-5  # a few roundings of float32
@@ -190,6 +190,7 @@ def _table(dataset: Dataset, summary: Summary) -> Table:
         about = dataset.fields[name]
         numbers = (one.minimum, one.maximum, one.mean, one.deviation) if one.count else (math.nan,) * 4
         kind = ", ".join((about.dtype, " ".join(map(str, about.shape)) or "one", about.unit))
-        named = Text(name, "bold") + Text(f"\n{kind}", "dim")  # whole at 80 columns
-        table.add_row(named, *(f"{value:.3g}" for value in numbers), *[str(one.missing)] * missing)
+        table.add_row(
+            labelled(name, kind), *(f"{value:.3g}" for value in numbers), *[str(one.missing)] * missing
+        )
     return table

@@ -3,14 +3,12 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
 from doojax.benchmarks.physics.cases import Finding
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.summary import row
+from doojax.terminal import labelled, narrow_table
 
 SHOWN_APART = ("engine", "task", "settings")
 
@@ -27,14 +25,12 @@ def rows(findings: Sequence[Finding]) -> Iterator[Row]:
 
 def show(findings: Sequence[Finding]) -> None:
     """Print value, closed form, error and verdict of each."""
-    columns = (Column(head, no_wrap=True) for head in ("value", "closed\nform", "error", ""))
-    table = Table("case, of what", *columns, box=SIMPLE_HEAD, pad_edge=False)
+    table = narrow_table("case, of what", "value", "closed\nform", "error", "")
     for one in findings:
         place = ", ".join(str(one.tags[name]) for name in SHOWN_APART if name in one.tags)
         more = (f"{name} {value}" for name, value in one.tags.items() if name not in SHOWN_APART)
         figures = (f"{one.value:.4g} {one.unit}", f"{one.expected:.4g}", f"{one.error:+.2%}")
-        told = Text(one.case, "bold") + Text("\n" + ", ".join((place, *more)), "dim")  # whole at 80 columns
-        table.add_row(told, *figures, verdict(one))
+        table.add_row(labelled(one.case, ", ".join((place, *more))), *figures, verdict(one))
     Console().print(table)
 
 

@@ -15,10 +15,7 @@ from operator import index
 from pathlib import Path
 from typing import Any, SupportsFloat, SupportsIndex
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
 from doojax.experiments.reports.checks import (
     check,
@@ -31,6 +28,7 @@ from doojax.experiments.reports.checks import (
 from doojax.experiments.reports.machine import this_run
 from doojax.experiments.reports.rows import HEAD, Row, Run, Summary
 from doojax.files import write_whole
+from doojax.terminal import labelled, narrow_table
 
 SUMMARY = "summary.json"
 
@@ -184,12 +182,10 @@ def show(rows: Sequence[Row], as_json: bool) -> None:
     if as_json:
         print(json.dumps([asdict(one) for one in rows], indent=1))
         return
-    numbers = (Column(name, no_wrap=True) for name in ("value", "95 % interval", "unit"))
-    table = Table("metric, of what", *numbers, box=SIMPLE_HEAD, pad_edge=False)
+    table = narrow_table("metric, of what", "value", "95 % interval", "unit")
     for one in rows:
         tags = ", ".join(f"{name} {value}" for name, value in one.tags.items())
         tags = tags.replace(",", ", ").replace(",  ", ", ")  # where a value is a list, a line may end, too
         interval = "" if one.low is None or one.high is None else f"{one.low:,.4g} to {one.high:,.4g}"
-        named = Text(one.metric, "bold") + Text(f"\n{tags}" if tags else "", "dim")  # whole at 80 columns
-        table.add_row(named, f"{one.value:,.4g}", interval, one.unit)
+        table.add_row(labelled(one.metric, tags), f"{one.value:,.4g}", interval, one.unit)
     Console().print(table)

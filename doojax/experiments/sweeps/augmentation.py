@@ -91,7 +91,7 @@ def augmentation_study(
     for number in range(seeds):
         folder = out / f"set{number}"
         data = _collected(folder, trajectories, 2 * (seed * seeds + number) + 2)
-        sets.append(PushingSet(folder, data, number))
+        sets.append(PushingSet(folder, data, PushingData.of(data.states(np.arange(len(data)))), number))
         files[f"set {number}"] = folder
     digests = {name: file_digest(path / MANIFEST)[:16] for name, path in files.items()}
     vaes = None

@@ -12,10 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
 from doojax.datasets.progress import progress_bar
 from doojax.experiments.reports.summary import SUMMARY, read_summary
@@ -23,6 +20,7 @@ from doojax.experiments.sweeps.spec import OUT, Cell, cells_of, read_spec
 from doojax.experiments.sweeps.worker import BEGUN, CELLS, DONE, FAILED, FOLDER, is_over
 from doojax.files import alone_in, write_whole
 from doojax.parts import processors
+from doojax.terminal import labelled, narrow_table
 
 TABLE, PICTURE = "sweep.csv", "sweep.png"
 POLL = 0.2  # s
@@ -157,10 +155,9 @@ def _show(rows: Sequence[dict[str, Any]]) -> None:
     groups: dict[tuple[tuple[str, Any], ...], list[float]] = defaultdict(list)
     for row in rows:
         groups[tuple((name, value) for name, value in row.items() if name not in fixed)].append(row["value"])
-    columns = (Column(head, no_wrap=True) for head in ("mean", "of"))
-    table = Table("metric, of what", *columns, title="sweep", box=SIMPLE_HEAD, pad_edge=False)
+    table = narrow_table("metric, of what", "mean", "of", title="sweep")
     for key, values in groups.items():
         tags = ", ".join(f"{name} {value}" for name, value in key if name != "metric")
-        named = Text(str(dict(key).get("metric", "")), "bold") + Text(f"\n{tags}" if tags else "", "dim")
+        named = labelled(str(dict(key).get("metric", "")), tags)
         table.add_row(named, f"{np.mean(values):.4g}", str(len(values)))
     Console().print(table)

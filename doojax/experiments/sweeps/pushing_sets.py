@@ -1,7 +1,7 @@
 """What each method of the augmentation study makes of a set of pushed trajectories."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +40,8 @@ class PushingSet:
 
     folder: Path
     data: Dataset
+    own: PushingData  # the trajectories as they were simulated
     number: int  # among the sets of a study
-
-    @property
-    def own(self) -> PushingData:
-        """As they were simulated."""
-        return PushingData.of(self.data.states(np.arange(len(self.data))))
 
 
 def made(
@@ -95,7 +91,7 @@ def learned_vaes(
 
 def vae_fit(sets: int) -> FitConfig:
     """How the autoencoders of so many sets are trained."""
-    return FitConfig(VAE.epochs, VAE.batch_size, sets, checkpoint_every=VAE.checkpoint_every)
+    return replace(VAE, members=sets)
 
 
 def _projected(method: str, one: PushingSet, copies: int) -> PushingData:
