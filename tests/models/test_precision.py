@@ -61,8 +61,9 @@ def test_a_model_and_its_derivatives_pass_under_strict_rank_promotion(kind):
 
     with jax.numpy_rank_promotion("raise"):
         eqx.filter_eval_shape(model, *given)
-        many = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), given[1:])
-        eqx.filter_eval_shape(jax.vmap(lambda *rest: model(given[0], *rest)), *many)
+        shared, each = (given[:1], given[1:]) if len(given) > 1 else ((), given)  # obstacles are shared
+        many = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), each)
+        eqx.filter_eval_shape(jax.vmap(lambda *rest: model(*shared, *rest)), *many)
         if jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array)):
             eqx.filter_eval_shape(eqx.filter_grad(summed), model)
 
