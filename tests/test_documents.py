@@ -1,9 +1,12 @@
-"""README.md and docs/*.md: their commands are read, their Python runs, nothing of it changes results/."""
+"""README.md and docs: commands are read, Python runs, links lead somewhere, and results/ stays as it is."""
 
 import contextlib
 import doctest
+import importlib.util
 import io
+import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -51,6 +54,105 @@ def run_page(document: Path, changes: tuple[tuple[str, str], ...]) -> None:
 @pytest.mark.parametrize("document", PAGES, ids=lambda path: path.name)
 def test_a_pages_python_runs(document):
     run_page(document, SMALLER.get(document.name, ()))
+
+
+def shown() -> list[Path]:
+    """All that the site shows, and so a page may link to."""
+    spec = importlib.util.spec_from_file_location("site_pages", ROOT / "docs/site/pages.py")
+    pages = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(pages)
+    return pages.shown()
+
+
+def unexecuted(text: str) -> list[str]:
+    """The first lines of blocks that look like Python to a reader and not to this file."""
+    fences = re.findall(
+        r"^[ >]*(?:```+|~~~+) *\{?\.?(?:py|ipython|pycon).*$", text, re.MULTILINE | re.IGNORECASE
+    )
+    return [fence for fence in fences if fence != "```python"]
+
+
+def test_no_python_escapes():
+    for page in shown():
+        if page.suffix == ".md":
+            text = page.read_text(encoding="utf-8")
+            assert not unexecuted(text), page
+            assert page in DOCUMENTS or "```python" not in text, page
+    text = "```python\nx\n```\n  ```python\n```py\n~~~ python\n``` {.python}\n```toml\n"
+    assert [fence.strip() for fence in unexecuted(text)] == [
+        "```python",
+        "```py",
+        "~~~ python",
+        "``` {.python}",
+    ]
+
+
+def anchors(text: str) -> set[str]:
+    """Of a page's headings, as code hosts and the site make them."""
+    headings = re.findall(
+        r"^#+ (.+)$", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL), re.MULTILINE
+    )
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def link_faults(page: Path, known: set[Path]) -> Iterator[str]:
+    """Links of a page that lead to nothing that the site has, or to no heading there."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    for link in re.findall(r"\]\(([^)\s]*)", re.sub(r"`[^`\n]*`", "", text)):
+        if link.startswith(("https://", "http://")):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        if target not in known:
+            yield f"{page.name}: the site has no {link}"
+        elif anchor and anchor not in anchors(target.read_text(encoding="utf-8")):
+            yield f"{page.name}: {link} names no heading"
+
+
+def test_links_within_the_documents_lead_somewhere():
+    known = set(shown())
+    pages = [page for page in known if page.suffix == ".md"]
+    assert set(DOCUMENTS) <= known
+    assert [fault for page in pages for fault in link_faults(page, known)] == []
+
+
+def test_a_link_that_leads_nowhere_is_found(tmp_path):
+    page, other = tmp_path / "page.md", tmp_path / "other.md"
+    page.write_text(
+        "# Here\n[a](other.md#to-be-or-not) [b](#here) [c](https://x.org/y) `[d](e)`\n```\n[f](g)\n```\n"
+    )
+    other.write_text("## To be, or not?\n")
+    assert list(link_faults(page, {page, other})) == []
+    assert list(link_faults(page, {page})) == ["page.md: the site has no other.md#to-be-or-not"]
+    other.write_text("# To be\n```\n# to be or not\n```\n")
+    assert list(link_faults(page, {page, other})) == ["page.md: other.md#to-be-or-not names no heading"]
+
+
+def cells() -> list[str]:
+    """The code of the notebook."""
+    notebook = json.loads((ROOT / "docs/notebook.ipynb").read_text(encoding="utf-8"))
+    return ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
+def test_the_notebook_holds_code_alone_and_imports_what_there_is():
+    notebook = json.loads((ROOT / "docs/notebook.ipynb").read_text(encoding="utf-8"))
+    assert not any(cell.get("outputs") for cell in notebook["cells"])
+    names: dict[str, object] = {}
+    for number, cell in enumerate(cells()):
+        compile(cell, f"cell {number}", "exec")
+        exec("\n".join(re.findall(r"^(?:from|import) .*$", cell, re.MULTILINE)), names)
+    assert {"make_task", "search", "signed_distance"} <= set(names)
+
+
+@pytest.mark.slow  # a minute
+def test_the_notebook_runs_and_its_plan_gets_near(monkeypatch, capsys):
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    names: dict[str, object] = {}
+    for number, cell in enumerate(cells()):
+        exec(compile(cell, f"cell {number}", "exec"), names)
+    assert capsys.readouterr().out.count("solved") == 1
+    assert names["gap"][0] < 1e-3, "prediction and execution begin with the same rope"
+    assert names["reached"] < 0.1
 
 
 @pytest.mark.slow

@@ -62,6 +62,7 @@ def test_the_wheel_says_who_made_it_and_under_which_licence(wheel):
     assert about["Author"] == "the doojax authors"
     assert f"version: {about['Version']}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"({about['Version']})" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"version = {{{about['Version']}}}" in (ROOT / "docs/citing.md").read_text()
     needed = [line for line in about.get_all("Requires-Dist", []) if "extra ==" not in line]
     assert not [
         line for line in needed for name in ("viser", "matplotlib", "imageio", "pillow") if name in line

@@ -16,7 +16,8 @@ def enters(obstacles: Obstacles, start: Float[Array, "*p 3"], end: Float[Array, 
 
     Args:
         obstacles: one unbatched set of M; `jax.vmap` for a batch of sets.
-        start, end: world frame, metres.
+        start: of each segment, world frame, metres.
+        end: as ``start``.
 
     Returns:
         true where it does; NaN coordinates enter nothing.

@@ -75,7 +75,9 @@ def signed_distance_and_gradient(
 
     Args:
         obstacles: one unbatched set; `jax.vmap` for a batch of sets.
-        x, y, z: world frame, metres; apart, because a CPU is fast with long axes.
+        x: world frame, metres; each coordinate apart, because a CPU is fast with long axes.
+        y: as ``x``.
+        z: as ``x``.
 
     Returns:
         the distance in metres, `FAR` where no obstacle is active, and the gradient's components along the
