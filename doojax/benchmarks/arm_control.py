@@ -175,10 +175,9 @@ class Trial(NamedTuple):
         return len(self.states) - 1
 
 
-def trial(task: ArmReaching, number: int, control: Callable[[ArmReaching, Reaching], Command]) -> Trial:
+def trial(task: ArmReaching, drawn: Reaching, number: int, method: Method) -> Trial:
     """Control until the cable's end is at its goal, the simulation breaks, or `LONGEST` commands are over."""
-    drawn = task.drawn(SEED, number)
-    command, states = control(task, drawn), [drawn.state]
+    command, states = method.control(task, drawn), [drawn.state]
     for key in numbered(stream(SEED, "bench", "arms", str(number)), range(LONGEST)):
         if task.reached(states[-1], drawn.goal):
             break

@@ -102,16 +102,20 @@ class Bare:
 def success_rows(scenes: int, methods: Sequence[str] = tuple(METHODS)) -> list[Row]:
     """How often the cable's end comes to its goal, in the same scenes, and after how many commands.
 
+    The scenes are drawn once, with the task's own physics steps: methods that simulate by other steps start
+    from the same states.
+
     Args:
         scenes: how many.
         methods: of `METHODS`; the first is compared with the others.
     """
-    console, found = Console(stderr=True), {}
+    console, found, own = Console(stderr=True), {}, ArmReaching()
+    drawn = [own.drawn(SEED, number) for number in range(scenes)]
     for name in methods:
         method, done = METHODS[name], []
         task = ArmReaching(method.scene)
         for number in range(scenes):
-            done.append(trial(task, number, method.control))
+            done.append(trial(task, drawn[number], number, method))
             told = f"{'' if done[-1].reached else 'not '}reached after {done[-1].commands} commands"
             console.print(f"{name}: scene {number} {told}", highlight=False)
         found[name] = done

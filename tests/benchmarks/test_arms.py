@@ -62,7 +62,7 @@ def test_fingers_stay(task):
 @pytest.mark.slow  # some ten seconds; beside it a tool follows displacements
 def test_the_loop_closes_past_a_box(task):
     """With MPPI the cable's end comes to a goal, though a box stands on its straight way."""
-    done = bench.trial(task, 0, bench.METHODS["mppi"].control)
+    done = bench.trial(task, task.drawn(bench.SEED, 0), 0, bench.METHODS["mppi"])
     away = bench.distances(task, done)
     assert done.reached and away[0] > 0.15 and away[-1] <= 0.05 and done.commands < 30
     assert not any(int(state.faults) & bench.BROKEN for state in done.states)
