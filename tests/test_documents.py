@@ -20,7 +20,12 @@ SMALLER = {  # what makes a page's Python cheap enough to run here; nothing else
     "README.md": (("128", "2"), ('engine="mjx"', 'engine="mujoco"')),
     "planning.md": (("extensions=4096", "extensions=256"),),
 }
-PAGES = [path for path in DOCUMENTS if "```python" in path.read_text(encoding="utf-8")]
+LONG = {"environments.md", "robots.md"}  # compile for half a minute
+PAGES = [
+    pytest.param(path, marks=pytest.mark.slow if path.name in LONG else (), id=path.name)
+    for path in DOCUMENTS
+    if "```python" in path.read_text(encoding="utf-8")
+]
 
 
 def blocks(document: Path) -> list[str]:
@@ -51,7 +56,7 @@ def run_page(document: Path, changes: tuple[tuple[str, str], ...]) -> None:
             assert text.split(", metres")[0] in line
 
 
-@pytest.mark.parametrize("document", PAGES, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", PAGES)
 def test_a_pages_python_runs(document):
     run_page(document, SMALLER.get(document.name, ()))
 

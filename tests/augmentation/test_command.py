@@ -113,6 +113,7 @@ def test_stopped_between_shards_it_goes_on_to_the_same_bytes(folder, tmp_path, m
         assert file_digest(file) == file_digest(tmp_path / "stopped" / file.relative_to(folder / "whole"))
 
 
+@pytest.mark.slow
 def test_transitions(folder, tmp_path):
     augment_dataset(folder / "data", out=tmp_path, copies=1, steps=1)
     data, cut = opened(folder / "data"), opened(tmp_path)

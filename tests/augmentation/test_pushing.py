@@ -53,7 +53,7 @@ def test_what_moves_and_what_stays():
     assert seen == {tuple(point) for point in both.round(4).tolist()}
 
 
-@pytest.mark.parametrize("weights", [Weights(), Weights(occupancy=0.0)])
+@pytest.mark.parametrize("weights", [Weights(), pytest.param(Weights(occupancy=0.0), marks=pytest.mark.slow)])
 def test_accepted_ones_are_pushed_alike_among_cylinders_that_stand_where_they_stood(weights):
     keys = numbered(stream(0, "test"), range(COUNT))
     found = augment(keys, examples(COUNT), SETTING, PROJECTION, weights)

@@ -26,6 +26,7 @@ def test_the_end_is_half_a_link_beyond_the_last_centre():
     assert float(found) == pytest.approx(0.3 + np.hypot(0.5, 0.3), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_every_state_in_which_arms_are_near_to_something_costs():
     # at zero elbows are 5 to 10 mm from the torso; shoulders that turn out about y take tools to the side.
     # Fingers end 1.34 cm before the tool's site, which is at 0.5933 m along y when joints are at zero
@@ -68,6 +69,7 @@ def test_the_loop_closes_past_a_box(task):
     assert not any(int(state.faults) & bench.BROKEN for state in done.states)
 
 
+@pytest.mark.slow
 def test_a_tool_follows_displacements_in_a_scene(task):
     """Up and aside by 5 cm in two periods and a third to come to rest, while it holds a cable that swings."""
     drawn = task.drawn(bench.SEED, 0)

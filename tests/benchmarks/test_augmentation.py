@@ -13,6 +13,7 @@ from doojax.types import Verdict
 COUNT = 48
 
 
+@pytest.mark.slow
 def test_accepted_augmentations_are_what_the_simulator_does_and_random_ones_are_not():
     task = make_task("toy")
     simulator = task.simulator("mujoco")

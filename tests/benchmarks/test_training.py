@@ -18,7 +18,8 @@ from doojax.tasks import make_task
 RATE, BATCH = 1e-3, 16
 
 
-@pytest.mark.parametrize("preset", [pytest.param("thesis", marks=pytest.mark.slow), "quick"])
+@pytest.mark.parametrize("preset", ["thesis", "quick"])
+@pytest.mark.slow
 def test_a_step_in_flax_ends_with_our_loss_and_our_weights(preset):
     task = make_task("toy")
     data = bench.random_trajectories(task, BATCH, 3, key=jax.random.key(1))

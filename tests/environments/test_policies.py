@@ -54,6 +54,7 @@ def test_a_policy_stands_beside_the_planners(tmp_path):
         needed_models("policy", {})
 
 
+@pytest.mark.slow
 def test_returns_are_those_of_one_episode_after_another():
     """Heading for the goal: each start's return, added up step by step; chance gets less."""
     policy, key = heading_for_the_goal(), lambda: jax.random.key(5)
@@ -97,6 +98,7 @@ def test_braxs_policy_gives_the_same_numbers_as_ours():
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_episodes_of_training_end_in_time_and_others_begin():
     """Three periods of episodes of two: what ended, what its return was, and what goes on."""
     pytest.importorskip("brax")

@@ -39,7 +39,10 @@ def transition(points: int, grippers: int) -> tuple[RopeState, jax.Array, RopeSt
     return RopeState(rope, rope[hands]), action[moves], RopeState(moved, moved[hands])
 
 
-@pytest.mark.parametrize("points, grippers, moments, midpoints", [(25, 2, 3, True), (10, 1, 2, False)])
+@pytest.mark.parametrize(
+    "points, grippers, moments, midpoints",
+    [pytest.param(25, 2, 3, True, marks=pytest.mark.slow), (10, 1, 2, False)],
+)
 def test_the_network_sees_per_point_its_place_motion_and_distances_at_each_moment(
     points, grippers, moments, midpoints
 ):

@@ -189,6 +189,7 @@ def test_it_is_a_reliability_whose_score_is_a_probability(classifier, logit):
     )
 
 
+@pytest.mark.slow
 def test_it_learns_that_a_box_in_the_way_makes_predictions_wrong(classifier):
     """32 transitions whose vectors say nothing of the label: only the voxels do."""
     count = 32

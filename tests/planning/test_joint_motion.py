@@ -108,6 +108,7 @@ def test_joints_go_no_farther_than_asked():
     )
 
 
+@pytest.mark.slow
 def test_a_start_in_slight_collision_is_repaired_and_in_deep_collision_refused():
     begin = jnp.array([0.09, 0.0, 0.0])
     assert -0.01 < float(clearance(ROBOT, begin, POST)) < 0.005

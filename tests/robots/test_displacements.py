@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from doojax.robots import clearance, displaced, dual_arm, tool_poses, velocities
+from doojax.robots import clearance, displaced, dual_arm, read_robot, tool_poses, velocities
 from doojax.types import Obstacles
 
 ROBOT = dual_arm()
@@ -26,6 +26,58 @@ MARGIN = 0.005
 RUN = jax.jit(
     jax.vmap(partial(displaced, ROBOT, moving=MOVING, margin=MARGIN, floor=-0.445, longest=0.3), (0, 0, None))
 )
+
+PLANAR = """
+<mujoco>
+  <compiler autolimits="true"/>
+  <worldbody>
+    <body name="upper" pos="0 0 0.3">
+      <joint name="shoulder" axis="0 0 1" range="-120 120"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>
+      <body name="lower" pos="0.3 0 0">
+        <joint name="elbow" axis="0 0 1" range="-150 150"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.03"/>
+        <site name="tip" pos="0.25 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_an_arm_of_two_links_goes_straight_to_where_closed_forms_have_it(tmp_path):
+    """One move is free, one into a wall at y = 0.42, one beyond reach, one from beyond a limit."""
+    (tmp_path / "planar.xml").write_text(PLANAR)
+    robot = read_robot(tmp_path / "planar.xml", ("tip",))
+    wall = Obstacles(
+        jnp.zeros(1, int),
+        jnp.array([[0.3, 0.52, 0.3]]),
+        jnp.array([[1.0, 0, 0, 0]]),
+        jnp.array([[0.5, 0.1, 0.5]]),
+        jnp.ones(1, bool),
+    )
+    starts = jnp.array([[0.0, 1.5], [0.0, 1.5], [-0.7, 0.9], [0.0, 2.7]])
+    moves = jnp.array([[[-0.05, 0.04, 0.0]], [[0.0, 0.2, 0.0]], [[0.3, -0.3, 0.0]], [[0.01, 0.0, 0.0]]])
+    run = jax.jit(jax.vmap(lambda at, move: displaced(robot, at, move, wall, (0, 1), MARGIN, longest=0.3)))
+    after = run(starts, moves)
+    begin, end = (
+        np.asarray(jax.vmap(lambda q: tool_poses(robot, q)[0][0])(q)) for q in (starts, after.joints)
+    )
+    assert float(after.part[0]) == 1
+    np.testing.assert_allclose(end[0] - begin[0], moves[0, 0], atol=2e-3)
+    cosine = (np.sum(end[0, :2] ** 2) - 0.3**2 - 0.25**2) / (2 * 0.3 * 0.25)  # of the elbow, by its triangle
+    assert float(after.joints[0, 1]) == pytest.approx(np.arccos(cosine), abs=1e-4)
+    for case in (1, 2):  # both stop on the way, still on the straight line
+        part = float(after.part[case])
+        assert 0 < part < 1
+        move = np.asarray(moves[case, 0])
+        move = move * min(1, 0.3 / np.linalg.norm(move))  # 0.42 m are shortened to 0.3 m
+        np.testing.assert_allclose(end[case] - begin[case], part * move, atol=3e-3)
+    gaps = [float(clearance(robot, joints, wall)) for joints in after.joints_on_the_way[1]]
+    assert min(gaps) > MARGIN and gaps[-1] < MARGIN + 0.025
+    # the arm reaches 0.55 m
+    assert 0.52 < np.linalg.norm(end[2, :2]) < 0.55
+    assert float(after.part[3]) == 0 and (after.joints[3] == starts[3]).all()
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +99,7 @@ def tools(joints):
     return np.asarray(tool_poses(ROBOT, joints)[0])
 
 
+@pytest.mark.slow  # the same of two arms
 def test_tools_go_straight_to_where_they_are_sent(found):
     starts, moves, after = found
     assert float(after.part[0]) == 1
@@ -59,6 +112,7 @@ def test_tools_go_straight_to_where_they_are_sent(found):
     np.testing.assert_array_equal(after.joints[0][still], starts[0][still])
 
 
+@pytest.mark.slow  # the same of two arms
 def test_they_stop_before_what_they_would_touch(found):
     starts, _, after = found
     assert 0 < float(after.part[1]) < 1
@@ -70,6 +124,7 @@ def test_they_stop_before_what_they_would_touch(found):
     assert float(clearance(ROBOT, after.joints[1], WALL, -0.445)) < MARGIN + 0.025
 
 
+@pytest.mark.slow  # the same of two arms
 def test_limits_are_kept(found):
     starts, _, after = found
     assert ((after.joints[:3] >= ROBOT.low) & (after.joints[:3] <= ROBOT.high)).all()

@@ -36,7 +36,7 @@ def in_double(tree):
 @pytest.fixture(
     scope="module",
     params=[
-        (True, "pyramidal"),  # a wall is a plane, with which collisions compile sooner
+        pytest.param((True, "pyramidal"), marks=pytest.mark.slow),  # a wall is a plane
         pytest.param((False, "pyramidal"), marks=pytest.mark.slow),
         pytest.param((False, "elliptic"), marks=pytest.mark.slow),
     ],

@@ -29,6 +29,7 @@ def test_a_rope_that_states_carry_moves_as_one_that_was_compiled():
     assert np.abs(np.asarray(carried.states.points) - np.asarray(plain.states.points)).max() > 10 * gap
 
 
+@pytest.mark.slow
 def test_a_data_set_of_another_rope_is_replayed_bit_for_bit(tmp_path, capsys):
     given = {"phase": "constrained", "states": 4, "engine": "mujoco", "out": tmp_path / "rough"}
     collect("rope_dragging", trajectories=8, rope=ROUGH, **given)

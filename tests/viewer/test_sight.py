@@ -79,7 +79,7 @@ def test_from_the_top_and_in_section(trial, server):
     look.until(lambda: all(one.camera.near < 0.1 for one in clients))
 
 
-@pytest.mark.parametrize("ending", ["PNG", "GIF", "HTML"])
+@pytest.mark.parametrize("ending", ["PNG", pytest.param("GIF", marks=pytest.mark.slow), "HTML"])
 def test_what_is_shown_can_be_taken_home(view, contents, ending):
     look, _ = view(contents / "prediction.npz")
     look.enter("Steps ahead", 9)  # at first the prediction lies over what happened, and hides it

@@ -89,7 +89,11 @@ def test_an_interval_over_three_seeds():
         ({"thresholds": (0.02, 0.02)}, r"thresholds are \[0.02, 0.02\], expected different positive lengths"),
         ({"thresholds": (0.02, -1.0)}, "expected different positive lengths"),
         ({"seeds": 0}, "seeds is 0, expected at least 1"),
-        ({"thresholds": (0.03, 9.0)}, "train split has 0 wrong predictions at a threshold of 9 m"),
+        pytest.param(
+            {"thresholds": (0.03, 9.0)},
+            "train split has 0 wrong predictions at a threshold of 9 m",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_what_cannot_be_swept_leaves_nothing_behind(toy, tmp_path, options, message):

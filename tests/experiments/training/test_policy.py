@@ -17,6 +17,7 @@ from doojax.learning.checkpoints import load_model
 SMALL = PpoSettings(steps=16, environments=4, episode=4, unroll=2, width=8, depth=1)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_to_the_same_weights_and_publishes_what_it_gains(
     tmp_path, monkeypatch, capsys
 ):

@@ -72,6 +72,7 @@ def test_going_towards_what_is_accepted_frees_sooner_than_chance_and_away_later(
     assert up["unstuck_probability", "learned", MOST_ACTIONS].value > 0.8
 
 
+@pytest.mark.slow
 def test_a_recovery_that_is_random_is_as_good_as_random(data):
     """A policy against itself, but each with an own seed: not the same figures, yet figures that agree."""
     found, other = (measured(data, RandomRecovery(), NEAR, seed=seed) for seed in (0, 1))
