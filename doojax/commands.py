@@ -106,6 +106,10 @@ COMMANDS: Commands = {
         "doojax.datasets.imports:import_trajectories",
         "make a data set of trajectories that were recorded elsewhere",
     ),
+    "export": (
+        "doojax.datasets.exports.command:export",
+        "write a data set as a folder that LeRobot or Minari reads",
+    ),
     "inspect": ("doojax.datasets.inspect:inspect", "print what a data set holds and check it"),
     "render": ("doojax.viewer.render:render", "draw a data set, a prediction or a trial without a browser"),
     "plan": ("doojax.experiments.trials.plan:plan", "plan and execute in one scene"),
