@@ -38,6 +38,12 @@ SMOOTHNESS = weighted(THESIS_WEIGHTS["smoothness"], smoothness)
 UNSTABLE = weighted(THESIS_WEIGHTS["unstable"], summed(lambda tried, _: unstable(tried.faults & BROKEN)))
 
 
+def cable_end(points: Float[Array, "*b N 3"]) -> Float[Array, "*b 3"]:
+    """Where the cable ends, from its links' centres (m), but for the bend of half a link."""
+    last, before = points[..., -1, :], points[..., -2, :]
+    return last + (last - before) / 2
+
+
 class EndAtGoal(eqx.Module):
     """A term: metres between the cable's end and its goal, summed."""
 
@@ -45,9 +51,7 @@ class EndAtGoal(eqx.Module):
 
     def __call__(self, tried: Tried, controls: Float[Array, "H U"]) -> Float[Array, ""]:
         """See `doojax.planning.mppi.Term`."""
-        last, before = tried.seen.points[:, -1], tried.seen.points[:, -2]
-        ends = last + (last - before) / 2  # but for the bend of half a link
-        return jax.vmap(lambda end: reaching(end, self.goal))(ends).sum()
+        return jax.vmap(lambda end: reaching(end, self.goal))(cable_end(tried.seen.points)).sum()
 
 
 class ArmsNear(eqx.Module):
@@ -100,6 +104,7 @@ class Sampled:
         speed = task.robot.speed[task.moving]
         self.mppi = Mppi(self.rollouts, terms, -speed, speed, settings)
         self.nominal = self.mppi.start()
+        self.last: tuple[Nominal, Report] | None = None  # plan, as it was when its first control was given
 
     def planned(self, state: SimState, key: Array) -> tuple[Nominal, Report]:
         """One plan, finished when it returns."""
@@ -107,7 +112,8 @@ class Sampled:
 
     def __call__(self, state: SimState, key: Array) -> Float[Array, "A"]:
         """See `Command`."""
-        found, _ = self.planned(state, key)
+        found, report = self.planned(state, key)
+        self.last = found, report
         self.nominal = found.advanced()
         return self.rollouts.whole(found.controls[0])
 
@@ -175,13 +181,30 @@ class Trial(NamedTuple):
         return len(self.states) - 1
 
 
-def trial(task: ArmReaching, drawn: Reaching, number: int, method: Method) -> Trial:
-    """Control until the cable's end is at its goal, the simulation breaks, or `LONGEST` commands are over."""
+def trial(
+    task: ArmReaching,
+    drawn: Reaching,
+    number: int,
+    method: Method,
+    watch: Callable[[Command, SimState, Array], None] | None = None,
+) -> Trial:
+    """Control until the cable's end is at its goal, the simulation breaks, or `LONGEST` commands are over.
+
+    Args:
+        task: in which.
+        drawn: the scene.
+        number: of the scene, by which what is random in the trial is drawn.
+        method: of control.
+        watch: called with what commanded, the state that it saw, and the action, before that is executed.
+    """
     command, states = method.control(task, drawn), [drawn.state]
     for key in numbered(stream(SEED, "bench", "arms", str(number)), range(LONGEST)):
         if task.reached(states[-1], drawn.goal):
             break
-        states.append(task.simulator.step(states[-1], command(states[-1], key)))
+        action = command(states[-1], key)
+        if watch is not None:
+            watch(command, states[-1], action)
+        states.append(task.simulator.step(states[-1], action))
         if int(states[-1].faults) & BROKEN:
             return Trial(drawn, False, states)
     return Trial(drawn, task.reached(states[-1], drawn.goal), states)

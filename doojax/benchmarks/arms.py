@@ -7,6 +7,7 @@ when others compute, too.
 
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import jax
 import mujoco
@@ -16,6 +17,7 @@ from mujoco.rollout import Rollout
 from rich.console import Console
 
 from doojax.benchmarks.arm_control import METHODS, SEED, SETTINGS, Sampled, Trial, trial
+from doojax.benchmarks.arm_records import recorded
 from doojax.benchmarks.medians import median_row
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.statistics import mcnemar, success_rate
@@ -99,7 +101,9 @@ class Bare:
         return time.process_time() - begun
 
 
-def success_rows(scenes: int, methods: Sequence[str] = tuple(METHODS)) -> list[Row]:
+def success_rows(
+    scenes: int, methods: Sequence[str] = tuple(METHODS), record: Path | None = None
+) -> list[Row]:
     """How often the cable's end comes to its goal, in the same scenes, and after how many commands.
 
     The scenes are drawn once, with the task's own physics steps: methods that simulate by other steps start
@@ -108,6 +112,7 @@ def success_rows(scenes: int, methods: Sequence[str] = tuple(METHODS)) -> list[R
     Args:
         scenes: how many.
         methods: of `METHODS`; the first is compared with the others.
+        record: the folder that gets a record of each trial, for `doojax view`; by default none is kept.
     """
     console, found, own = Console(stderr=True), {}, ArmReaching()
     drawn = [own.drawn(SEED, number) for number in range(scenes)]
@@ -115,7 +120,10 @@ def success_rows(scenes: int, methods: Sequence[str] = tuple(METHODS)) -> list[R
         method, done = METHODS[name], []
         task = ArmReaching(method.scene)
         for number in range(scenes):
-            done.append(trial(task, drawn[number], number, method))
+            if record is None:
+                done.append(trial(task, drawn[number], number, method))
+            else:
+                done.append(recorded(task, drawn[number], number, name, record))
             told = f"{'' if done[-1].reached else 'not '}reached after {done[-1].commands} commands"
             console.print(f"{name}: scene {number} {told}", highlight=False)
         found[name] = done

@@ -39,6 +39,7 @@ def mppi(
     /,
     *,
     seeds: int | None = None,
+    record: Path | None = None,
     json: bool = False,
     publish: Path | None = None,
 ) -> None:
@@ -49,20 +50,25 @@ def mppi(
             timed, beside the physics alone, and the loop is closed in scenes that can be solved, with our
             settings, with the thesis's, and by a tool that goes straight to where it should.
         seeds: how many starts, at least 2; of arm_reaching, how many scenes. By default 10 and 25.
+        record: of arm_reaching, a new or empty folder that gets a record of each trial, for doojax view.
         json: print the rows as JSON instead of a table.
         publish: the folder of results whose summary.json gets the figures, such as results/control; by
             default they are only shown.
 
     Raises:
         ModuleNotFoundError: pytorch-mppi is not installed; `pip install 'doojax[bench]'` does that.
-        ValueError: for fewer seeds.
+        ValueError: for fewer seeds, records of a pendulum, or a folder for them that holds something.
     """
     command = command_line(mppi, locals())
     seeds = (SCENES if task == "arm_reaching" else SEEDS) if seeds is None else seeds
     if seeds < 2:
         raise ValueError(f"there are {seeds} seeds, expected at least 2")
+    if record is not None and task != "arm_reaching":
+        raise ValueError(f"record is {record}, but trials of arm_reaching alone are recorded: leave it out")
+    if record is not None and record.exists() and (record.is_file() or any(record.iterdir())):
+        raise ValueError(f"{record} is not a new or empty folder: choose another for the records")
     if task == "arm_reaching":
-        rows = [*command_rows(), *success_rows(seeds)]
+        rows = [*command_rows(), *success_rows(seeds, record=record)]
         publish_rows(publish, command=command, seed=SEED, rows=rows)
         show(rows, json)
         return

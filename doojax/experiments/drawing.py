@@ -73,6 +73,12 @@ class Drawing(Protocol):
         """The active primitives of one set of obstacles."""
         ...
 
+    def bodies(
+        self, name: str, shapes: Obstacles, *, colours: Colour | Colours, opacity: float = 1.0
+    ) -> None:
+        """The active ones of some primitives that move, such as a robot's links, each in its colour."""
+        ...
+
     def axes(
         self,
         name: str,

@@ -8,7 +8,6 @@ offsets and rotations about axes, and nothing else.
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from doojax.modules import Jittable
+from doojax.robots.urdf import JointLimits, urdf_limits
 from doojax.types import Obstacles, ShapeKind
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def dual_arm() -> Robot:
     return read_robot(DUAL_ARM, ("left", "right"))
 
 
-def read_robot(source: "Path | mujoco.MjModel", tools: tuple[str, ...]) -> Robot:
+def read_robot(source: "Path | mujoco.MjModel", tools: tuple[str, ...] | None = None) -> Robot:
     """A robot of a file or of a model that is compiled already; on the host, once.
 
     Shapes that can collide become capsules: of a box, cylinder, ellipsoid or mesh the smallest around its
@@ -90,7 +90,8 @@ def read_robot(source: "Path | mujoco.MjModel", tools: tuple[str, ...]) -> Robot
 
     Args:
         source: an MJCF or URDF file with a fixed base, or its model.
-        tools: names of the sites, or bodies, that are the tools' frames.
+        tools: names of the sites, or bodies, that are the tools' frames; by default all sites that have
+            names, or where there are none the bodies that carry no other.
 
     Raises:
         ValueError: for a tool that the model lacks, or joints that are neither hinges nor slides; what
@@ -99,7 +100,7 @@ def read_robot(source: "Path | mujoco.MjModel", tools: tuple[str, ...]) -> Robot
     import mujoco  # on first use: robots are arrays, and most of their users need no simulator
 
     model = _compiled(source) if isinstance(source, Path) else source
-    urdf = _urdf_speeds(source) if isinstance(source, Path) else {}
+    urdf = (urdf_limits(source) if isinstance(source, Path) else None) or {}
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     names = tuple(model.joint(j).name or f"joint{j}" for j in range(model.njnt))
@@ -115,6 +116,7 @@ def read_robot(source: "Path | mujoco.MjModel", tools: tuple[str, ...]) -> Robot
         for j, body in enumerate(model.jnt_bodyid)
     )
     limited = model.jnt_limited.astype(bool)
+    tools = _likely_tools(model) if tools is None else tuple(tools)
     places = [_place(model, data, name, links) for name in tools]
     capsules, base = _shapes(model, data, links)
     ends = np.array([ends - at[link] for link, ends, _ in capsules]).reshape(-1, 2, 3).swapaxes(0, 1)
@@ -123,7 +125,7 @@ def read_robot(source: "Path | mujoco.MjModel", tools: tuple[str, ...]) -> Robot
         joints=names,
         parents=parents,
         slides=tuple(bool(kind == slide) for kind in model.jnt_type),
-        tools=tuple(tools),
+        tools=tools,
         tool_links=tuple(link for link, _, _ in places),
         capsule_links=tuple(link for link, _, _ in capsules),
         pairs=(),
@@ -149,6 +151,13 @@ def _links(model: "mujoco.MjModel") -> list[int]:
         count = model.body_jntnum[body]
         links.append(int(model.body_jntadr[body] + count - 1) if count else links[model.body_parentid[body]])
     return links
+
+
+def _likely_tools(model: "mujoco.MjModel") -> tuple[str, ...]:
+    sites = tuple(filter(None, (model.site(i).name for i in range(model.nsite))))
+    carrying = set(model.body_parentid.tolist())
+    ends = (model.body(i).name for i in range(1, model.nbody) if i not in carrying)
+    return sites or tuple(filter(None, ends))
 
 
 def _place(model: "mujoco.MjModel", data: "mujoco.MjData", name: str, links: list[int]) -> tuple:
@@ -180,20 +189,11 @@ def _compiled(source: Path) -> "mujoco.MjModel":
     return spec.compile()
 
 
-def _urdf_speeds(source: Path) -> dict[str, float]:
-    """By joint the speed limits of a URDF file, which MuJoCo drops; of other files none."""
-    root = ElementTree.parse(source).getroot()
-    if root.tag != "robot":
-        return {}
-    limits = ((joint.get("name", ""), joint.find("limit")) for joint in root.iter("joint"))
-    given = ((name, float(one.get("velocity", "inf"))) for name, one in limits if one is not None)
-    return {name: speed for name, speed in given if speed > 0}
-
-
-def _speeds(model: "mujoco.MjModel", urdf: dict[str, float]) -> np.ndarray:
+def _speeds(model: "mujoco.MjModel", urdf: dict[str, JointLimits]) -> np.ndarray:
     import mujoco
 
-    speeds = np.array([urdf.get(model.joint(joint).name, np.inf) for joint in range(model.njnt)])
+    names = [model.joint(joint).name for joint in range(model.njnt)]
+    speeds = np.array([urdf[name].speed if name in urdf else np.inf for name in names])
     for actuator in range(model.nu):
         velocity = model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR
         of_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT

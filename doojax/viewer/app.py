@@ -1,4 +1,4 @@
-"""`doojax view`: a page on data sets, training runs, predictions and trials."""
+"""`doojax view`: a page on data sets, training runs, predictions, trials and robots."""
 
 import ipaddress
 import os
@@ -17,6 +17,7 @@ from doojax.datasets import Dataset
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.records import TrialRecord
 from doojax.learning.runs import RunDirectory
+from doojax.robots import DUAL_ARM, read_robot
 from doojax.viewer.addresses import EYE, TARGET, read_place
 from doojax.viewer.dataset_page import DatasetPage
 from doojax.viewer.evaluation_page import EvaluationPage
@@ -25,16 +26,19 @@ from doojax.viewer.listing import (
     find_items,
     is_dataset,
     is_evaluation,
+    is_robot,
     is_run,
     kind_of,
     require_inside,
 )
 from doojax.viewer.page import Page, Server, start_server
 from doojax.viewer.prediction_page import PredictionPage
+from doojax.viewer.robot_page import RobotPage
 from doojax.viewer.run_page import RunPage
 from doojax.viewer.trial_page import TrialPage
 
 LOOK_AGAIN = 2.0  # s
+OWN_ROBOT = "dual_arm"  # by this name the robot that comes with doojax is shown
 
 
 @runtime_checkable
@@ -50,11 +54,20 @@ class Content(Protocol):
         ...
 
 
-def view(path: tyro.conf.Positional[Path], /, *, host: str = "127.0.0.1", port: int = 8080) -> None:
-    """Look at data sets, training runs, predictions and trials in a browser, until Ctrl-C.
+def view(
+    path: tyro.conf.Positional[Path],
+    /,
+    *,
+    tools: tuple[str, ...] | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> None:
+    """Look at data sets, training runs, predictions, trials and robots in a browser, until Ctrl-C.
 
     Args:
-        path: a data set, a run, a record (.npz), or a folder that holds some.
+        path: a data set, a run, a record (.npz), or a folder that holds some; or a robot: an MJCF or URDF
+            file, or dual_arm, which comes with doojax.
+        tools: of a robot, its sites or bodies; by default all sites, or without any what carries nothing.
         host: the address to bind to. By default only this machine can look; 0.0.0.0 lets everybody in reach.
         port: the port to bind to; 0 takes any that is free.
 
@@ -63,7 +76,8 @@ def view(path: tyro.conf.Positional[Path], /, *, host: str = "127.0.0.1", port: 
     """
     server = start_server(host, port)
     console = Console(soft_wrap=True)
-    App(server, path)
+    own = str(path) == OWN_ROBOT and not path.exists()
+    App(server, DUAL_ARM if own else path, tools)
     shown = f"[{host}]" if ":" in host else {"0.0.0.0": "localhost"}.get(host, host)
     text = f"{path} is shown at http://{shown}:{server.get_port()} (Ctrl-C ends)"
     console.print(text, highlight=False, markup=False)
@@ -102,14 +116,21 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def open_content(page: Page, path: Path, root: Path, beside: Sequence[Path] = ()) -> Content:
-    """Show a data set, a run, an evaluation or a record in a page, and nothing from outside of ``root``.
+def open_content(
+    page: Page,
+    path: Path,
+    root: Path,
+    beside: Sequence[Path] = (),
+    tools: tuple[str, ...] | None = None,
+) -> Content:
+    """Show a data set, a run, an evaluation, a record or a robot in a page, nothing from outside of ``root``.
 
     Args:
         page: where to.
         path: of what is shown.
         root: all that may be shown lies below it.
         beside: what else there is, for what can be compared.
+        tools: of a robot, see `doojax.robots.read_robot`.
 
     Raises ValueError or OSError where it cannot be read.
     """
@@ -124,6 +145,8 @@ def open_content(page: Page, path: Path, root: Path, beside: Sequence[Path] = ()
         )
     if is_evaluation(path):
         return EvaluationPage(page, path)
+    if is_robot(path):
+        return RobotPage(page, read_robot(path, tools), path)
     record = load_record(path)
     if isinstance(record, TrialRecord):
         return TrialPage(page, record, path)
@@ -133,9 +156,9 @@ def open_content(page: Page, path: Path, root: Path, beside: Sequence[Path] = ()
 class App:
     """One page on one path: a list of what is there, and whichever of it is chosen."""
 
-    def __init__(self, server: Server, path: Path):
-        """Show the first thing at ``path``, or say what is wrong with it."""
-        self._path = path
+    def __init__(self, server: Server, path: Path, tools: tuple[str, ...] | None = None):
+        """Show the first thing at ``path``, or say what is wrong with it; ``tools`` are a robot's."""
+        self._path, self._tools = path, tools
         self._page = Page(server)
         self._content: Content | None = None
         self._chosen: Path | None = None
@@ -158,7 +181,7 @@ class App:
             chosen = chosen if chosen in items else items[0]
             self._chosen = chosen
             self._list(items)
-            self._content = open_content(page, chosen, self._path, items)
+            self._content = open_content(page, chosen, self._path, items, self._tools)
         finally:
             again = gui.add_button("Read again", order=1e9, hint="What is at the path may have changed")
             again.on_click(page.calling(lambda: self.reload(chosen)))

@@ -1,64 +1,28 @@
 """Arms in pictures: the capsules and boxes of a robot, with a rope and what stands around."""
 
-from functools import cache
 from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from PIL import Image, ImageDraw
 
 from doojax.experiments.trials.records import TrialRecord
-from doojax.robots import Robot, capsule_ends, dual_arm
+from doojax.robots import Robot, dual_arm
 from doojax.tasks.arms import BASE
-from doojax.types import Obstacles, ShapeKind
+from doojax.types import Obstacles
 from doojax.viewer import colours
 from doojax.viewer.paint import Painting, Pixels, font
 from doojax.viewer.raycast import Camera
+from doojax.viewer.robots import ends_of, show_robot
 
-ARMS = (120, 132, 150)
 TRANSLUCENT = 0.35
-
-
-def robot_shapes(robot: Robot, joints: Float[Array, "J"], base: tuple[float, float, float]) -> Obstacles:
-    """A robot's capsules, and what of it does not move, in the world (m), as shapes that can be drawn."""
-    start, end = (np.asarray(ends, float) + base for ends in _ends(robot, jnp.asarray(joints)))
-    axis = end - start
-    length = np.linalg.norm(axis, axis=1)
-    axis = np.where(length[:, None] > 1e-6, axis / np.maximum(length, 1e-6)[:, None], [0.0, 0, 1])
-    # the turn from z to the axis: half way between them, without where they oppose each other
-    turn = np.concatenate([1 + axis[:, 2:], -axis[:, 1:2], axis[:, :1], np.zeros((len(axis), 1))], axis=1)
-    turn = np.where(axis[:, 2:] < -1 + 1e-9, [0.0, 1, 0, 0], turn)
-    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-    radius = np.asarray(robot.capsule_radius)
-    size = np.stack([radius, radius, length / 2], axis=1)
-    fixed = robot.base
-
-    def joined(own: np.ndarray, others: Array) -> Array:
-        return jnp.concatenate([jnp.asarray(own), others])
-
-    return Obstacles(
-        kind=joined(np.full(len(axis), int(ShapeKind.CAPSULE)), fixed.kind),
-        centre=joined((start + end) / 2, fixed.centre + jnp.array(base)),
-        quaternion=joined(turn, fixed.quaternion),
-        half_size=joined(size, fixed.half_size),
-        active=joined(np.ones(len(axis), bool), fixed.active),
-    )
-
-
-@cache
-def _compiled():
-    return eqx.filter_jit(capsule_ends)
-
-
-def _ends(robot: Robot, joints: Float[Array, "J"]) -> Float[Array, "2 S 3"]:
-    return _compiled()(robot, joints)
 
 
 def picture_of_arms(
     robot: Robot,
-    joints: Float[Array, "J"],
+    joints: Float[np.ndarray, "J"],
     base: tuple[float, float, float],
     obstacles: Obstacles,
     rope: Float[np.ndarray, "N 3"],
@@ -77,7 +41,7 @@ def picture_of_arms(
     large = np.asarray(obstacles.half_size).max(1) > 0.9
     shown = eqx.tree_at(lambda o: o.active, obstacles, obstacles.active & ~jnp.asarray(large))
     painting.obstacles("obstacles", shown, colour=colours.OBSTACLE, opacity=TRANSLUCENT)
-    painting.obstacles("robot", robot_shapes(robot, joints, base), colour=ARMS)
+    show_robot(painting, "robot", robot, ends_of(robot, joints), base=base)
     painting.rope("rope", np.asarray(rope), radius=max(rope_radius, 0.012), colour=colours.ROPE)
     painting.spheres("tip", np.asarray(rope)[-1:], radius=0.022, colours=(200, 60, 40))
     painting.spheres("goal", np.asarray(goal)[None], radius=goal_radius, colours=(120, 60, 170), opacity=0.5)
@@ -107,7 +71,7 @@ def strip(record: TrialRecord, out: Path, most: int = 12) -> None:
     pictures = [
         picture_of_arms(
             robot,
-            jnp.asarray(record.replay["joints"][step]),
+            record.replay["joints"][step],
             BASE,
             record.obstacles,
             record.points[step],

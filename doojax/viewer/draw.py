@@ -8,10 +8,11 @@ import viser
 from jaxtyping import Float, UInt8
 
 from doojax.experiments.drawing import Colour
-from doojax.types import Obstacles
+from doojax.types import Obstacles, ShapeKind
 from doojax.viewer import colours as palette
 from doojax.viewer import shapes
 from doojax.viewer.episodes import rotation_matrices
+from doojax.viewer.shapes import shape as primitive
 
 Colours = Colour | UInt8[np.ndarray, "K 3"]
 Anchor = Literal["top-left", "top-right", "bottom-left", "bottom-right"]
@@ -200,7 +201,7 @@ class SceneDrawing:
         turns = rotation_matrices(np.asarray(obstacles.quaternion))
         by_colour: dict[Colour, list[shapes.Mesh]] = {}
         for i in np.flatnonzero(active):
-            vertices, faces = shapes.shape(int(kind[i]), half_size[i])
+            vertices, faces = primitive(int(kind[i]), half_size[i])
             shown = palette.obstacle_colour(half_size[i]) if colour == palette.OBSTACLE else colour
             by_colour.setdefault(shown, []).append((vertices @ turns[i].T + centre[i], faces))
         self.remove(name)
@@ -216,6 +217,32 @@ class SceneDrawing:
                 side="double" if opacity < 1 else "front",
             )
             self._keep(f"{name}/{number}", handle)
+
+    def bodies(self, name: str, shapes: Obstacles, *, colours: Colours, opacity: float = 1.0) -> None:
+        """See `Drawing.bodies`; where only places and colours are others, no mesh is sent again."""
+        kind, centre, turn, half_size, active = (
+            np.asarray(getattr(shapes, field))
+            for field in ("kind", "centre", "quaternion", "half_size", "active")
+        )
+        each = np.broadcast_to(np.asarray(colours, dtype=np.uint8), (len(kind), 3))[active]
+        kind, centre, turn, half_size = (values[active] for values in (kind, centre, turn, half_size))
+        if not len(kind):
+            self.remove(name)
+            return
+        if not self._stays(name, ("bodies", kind.tobytes(), half_size.tobytes(), opacity)):
+            meshes = [
+                self._scene.add_mesh_simple(
+                    self._path(f"{name}/{number}"),
+                    *primitive(int(kind[number]), half_size[number]),
+                    color=tuple(each[number].tolist()),
+                    opacity=opacity if opacity < 1 else None,
+                    flat_shading=bool(kind[number] != ShapeKind.CAPSULE),
+                )
+                for number in range(len(kind))
+            ]
+            self._keep(name, Pieces(meshes))
+        self._handles[name].paint(each)
+        self._handles[name].move(centre, turn)
 
     def axes(
         self,

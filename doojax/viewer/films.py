@@ -14,6 +14,7 @@ from doojax.geometry.segment_sdf import segment_signed_distance
 from doojax.types import Obstacles
 from doojax.viewer import colours
 from doojax.viewer.episodes import episode, episode_of, title
+from doojax.viewer.robots import corners_of_arms
 from doojax.viewer.show import plan_at, show_episode, show_execution, show_plan, show_prediction
 
 FROM_SIDE = np.array([0.80, -0.50, 0.48]) / np.linalg.norm([0.80, -0.50, 0.48])
@@ -98,7 +99,8 @@ def film_of_prediction(record: PredictionRecord, index: int) -> Film:
 def corners_of_trial(record: TrialRecord) -> Float[np.ndarray, "K 3"]:
     """Points (m) around which a picture of a trial must reach: what there is, and all that was tried."""
     nodes = [body_of(plan.points, plan.grippers, record.goal_point) for plan in record.plans]
-    corners = np.concatenate([episode_of(record).corners(), record.goal[None], *nodes]).astype(np.float32)
+    everything = [episode_of(record).corners(), record.goal[None], corners_of_arms(record), *nodes]
+    corners = np.concatenate(everything).astype(np.float32)
     return corners[np.isfinite(corners).all(-1)]
 
 

@@ -11,15 +11,18 @@ from doojax.files import describe_contents
 from doojax.learning.runs import CONFIG, METRICS
 from doojax.reading import read_header
 
+ROBOTS = (".xml", ".urdf")  # endings of what is a robot, if it is asked for by its own name
 MOST_ITEMS = 2000  # in the page's list
 EXPECTATION = (
-    f"expected a folder with {MANIFEST} (a data set), a training run, an evaluation, a record (.npz) or a "
-    "folder of them"
+    f"expected a folder with {MANIFEST} (a data set), a training run, an evaluation, a record (.npz), a "
+    "folder of them, or a robot (.xml, .urdf)"
 )
 
 
 def find_items(path: Path) -> list[Path]:
     """The data sets, runs and records at a path: itself, or what lies below it, links to elsewhere left out.
+
+    A robot is one where it is the path itself: other files end as theirs do.
 
     Raises:
         FileNotFoundError: where there is nothing.
@@ -27,6 +30,8 @@ def find_items(path: Path) -> list[Path]:
     """
     if not path.exists():
         raise FileNotFoundError(f"there is nothing at {path}")
+    if is_robot(path):
+        return [path]
     if path.is_file() and path.suffix != ".npz":
         raise ValueError(f"{path} cannot be shown: {EXPECTATION}")
     if can_be_shown(path):
@@ -72,6 +77,11 @@ def is_dataset(path: Path) -> bool:
 def is_run(path: Path) -> bool:
     """Is this the folder of a training run?"""
     return (path / CONFIG).exists() and (path / METRICS).exists()
+
+
+def is_robot(path: Path) -> bool:
+    """Is this the file of a robot?"""
+    return path.is_file() and path.suffix in ROBOTS
 
 
 def is_evaluation(path: Path) -> bool:

@@ -158,11 +158,27 @@ class Painting:
 
     def obstacles(self, name: str, obstacles: Obstacles, *, colour: Colour, opacity: float = 1.0) -> None:
         """See `Drawing.obstacles`; a table top is drawn in its own colour."""
+        each = [
+            colours.obstacle_colour(half_size) if colour == colours.OBSTACLE else colour
+            for half_size in np.asarray(obstacles.half_size)
+        ]
+        self.bodies(name, obstacles, colours=np.array(each, np.uint8).reshape(-1, 3), opacity=opacity)
+
+    def bodies(
+        self,
+        name: str,
+        shapes: Obstacles,
+        *,
+        colours: Colour | UInt8[np.ndarray, "K 3"],
+        opacity: float = 1.0,
+    ) -> None:
+        """See `Drawing.bodies`."""
         self.remove(name)
         kind, centre, half_size, active = (
-            np.asarray(getattr(obstacles, field)) for field in ("kind", "centre", "half_size", "active")
+            np.asarray(getattr(shapes, field)) for field in ("kind", "centre", "half_size", "active")
         )
-        turn = rotation_matrices(np.asarray(obstacles.quaternion))
+        turn = rotation_matrices(np.asarray(shapes.quaternion))
+        each = np.broadcast_to(np.asarray(colours, np.uint8), (len(kind), 3)).tolist()
         self._bodies[name] = [
             [
                 Solid(
@@ -170,7 +186,7 @@ class Painting:
                     centre[i].astype(np.float32),
                     turn[i],
                     half_size[i].astype(np.float32),
-                    colours.obstacle_colour(half_size[i]) if colour == colours.OBSTACLE else colour,
+                    tuple(each[i]),
                     opacity,
                 )
             ]

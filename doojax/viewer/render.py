@@ -57,7 +57,8 @@ def render(path: Path, /, *, out: Path, index: int | None = None) -> None:
         what = f"{len(chosen)} of {len(dataset)} trajectories"
     else:
         shown = None if dataset else load_record(path)
-        if isinstance(shown, TrialRecord) and "joints" in shown.replay and out.suffix == ".png":
+        arms = isinstance(shown, TrialRecord) and "joints" in shown.replay and "arms" not in shown.about
+        if isinstance(shown, TrialRecord) and arms and out.suffix == ".png":
             out.parent.mkdir(parents=True, exist_ok=True)
             strip(shown, out)
             Console(stderr=True, soft_wrap=True).print(f"drew {path}: {out}", highlight=False, markup=False)

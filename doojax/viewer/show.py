@@ -1,5 +1,7 @@
 """What is shown of episodes, predictions, plans and trials, on any `Drawing`: in the page and in pictures."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
@@ -8,6 +10,7 @@ from doojax.experiments.trials.executed import Followed
 from doojax.experiments.trials.records import Look, PlanRecord, PredictionRecord, TrialRecord, body_of
 from doojax.viewer import colours
 from doojax.viewer.episodes import Episode
+from doojax.viewer.robots import show_arms
 from doojax.viewer.shapes import extended, smooth
 
 EDGE_RADIUS = 0.006  # m, of a tree's edges where they start
@@ -193,10 +196,13 @@ def show_execution(
 ) -> None:
     """The executed rope at a moment, the goal, and the way so far of the point that is to reach it.
 
-    Recoveries have a colour of their own in that way.
+    Recoveries have a colour of their own in that way. Arms are shown where the record has their joints.
     """
     points, grippers = between(record.points, moment), between(record.grippers, moment)
-    show_rope(drawing, "now", points, grippers, record.look, colour=colour)
+    # a hand that an arm carries is seen well enough
+    look = replace(record.look, gripper_radius=0.0) if "joints" in record.replay else record.look
+    show_rope(drawing, "now", points, grippers, look, colour=colour)
+    show_arms(drawing, record, moment)
     way = record.goal_way[: int(moment) + 1]
     if len(way) < 2:
         drawing.remove("executed")

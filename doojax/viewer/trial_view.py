@@ -16,6 +16,7 @@ from doojax.experiments.trials.trial_list import KEEP
 from doojax.experiments.trials.why import SEARCHED, why
 from doojax.types import Obstacles
 from doojax.viewer import colours
+from doojax.viewer.control_view import ControlView
 from doojax.viewer.draw import Anchor
 from doojax.viewer.episodes import episode_of
 from doojax.viewer.films import Film, corners_of_trial, film_of_trial
@@ -39,7 +40,8 @@ FOLLOW: str = "the one being followed"
 BEFORE: str = "(before)"
 SEE_THROUGH = 0.55  # opacity of obstacles, lest a path vanish in one
 SAME = {"gripper": colours.GRIPPER, "goal": colours.GOAL, "chosen path": colours.CHOSEN}
-PARTS = ("now", "executed", "expected", "others", "plan", "node", "goal", "goal label", "names", "obstacles")
+PARTS = ("now", "arms", "executed", "expected", "others", "plan", "node", "goal", "goal label", "names")
+PARTS += ("obstacles",)
 NUMBERED = re.compile(r"\b(?:box|cylinder|capsule|table) (\d+)\b")
 
 
@@ -71,6 +73,8 @@ class TrialView:
             self._inspect = gui.add_checkbox("Show a node's rope", initial_value=False)
             self._node = gui.add_slider("Node", min=0, max=1, step=1, initial_value=0, visible=False)
             self._about_plan = gui.add_markdown("")
+        with self.tabs.add_tab("Control"):
+            self._control = ControlView(page, lambda: self._show(self.player.moment))
         with self.tabs.add_tab("View"):
             self.sight = Sight(page, self._obstacles, self._film, self.place, opacity=SEE_THROUGH)
             self._numbers = gui.add_checkbox("Numbers", initial_value=False, hint="Of all obstacles")
@@ -127,6 +131,7 @@ class TrialView:
         )
         self._set_options()
         self._set_curves()
+        self._control.set(record)
         self._about.content = listed({key: value for key, value in record.about.items() if key != "why"})
         if first:  # later ones are seen from where somebody has turned the view to
             self._page.stage(corners_of_trial(record), record.look.floor, episode_of(record).planar)
@@ -213,6 +218,7 @@ class TrialView:
             shown = colours.method_colour(method)
             show_rope(drawing, f"others/{method}", points, hands, other.look, colour=shown)
         show_expected(drawing, record, self._found, moment)
+        self._control.show(moment)
         for plot in (self._error, self._score, self._distance):
             plot.mark(min(moment, len(record.points) - 1))
         past = [number for number, event in enumerate(record.events) if event.step <= moment]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from doojax.robots import inverse_kinematics, read_robot, tool_poses
+from doojax.robots import DUAL_ARM, inverse_kinematics, read_robot, tool_poses
 
 INERTIA = (
     '<inertial><mass value="1"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -50,6 +50,11 @@ def test_a_urdf_file_has_its_tool_limits_and_speeds(planar):
     assert np.asarray(robot.capsule_ends[:, 0, 0]) == pytest.approx([0.05, 0.35], abs=1e-6)
     solve = jax.jit(partial(inverse_kinematics, robot, "tool", key=jax.random.key(0)))
     solve(place[0], jnp.zeros(2)).check()
+
+
+def test_tools_that_nobody_names_are_sites_or_what_carries_nothing(planar):
+    assert read_robot(planar).tools == ("tool",)  # the only body that no other sits on; there are no sites
+    assert read_robot(DUAL_ARM).tools == ("left", "right")  # its sites
 
 
 def test_what_a_file_lacks_is_told(planar):

@@ -181,7 +181,9 @@ def _distances(record: TrialRecord) -> Float[np.ndarray, "T1"]:
 
 def _of_success(record: TrialRecord) -> str:
     count = len(record.plans)
-    if count <= 1:
+    if not count:
+        return record.end
+    if count == 1:
         return "the first plan led to the goal"
     left = [departure(record, index) for index in range(count - 1)]
     found = [one for one in left if one is not None]

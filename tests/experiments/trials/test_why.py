@@ -200,6 +200,7 @@ def test_small_errors_are_not_why_where_no_plan_came_near_the_goal():
 def test_success_says_with_which_plan_and_what_came_before():
     alone = trial((0.2, 0.25), plan(0, 0.2, 0.25), said=[SOLVED], end="goal reached")
     assert explained(alone) == "the first plan led to the goal"
+    assert explained(replace(alone, plans=())) == alone.end  # a policy, or control by sampling, plans nothing
     again = trial(
         (0.4, 0.487, 0.3), plan(0, 0.4, 0.6), plan(1, 0.487, 0.3), said=[SOLVED] * 2, end="goal reached"
     )
