@@ -112,8 +112,10 @@ class Cylinder:
 class Arms:
     """A robot with a fixed base, in the place of free hands; its tools hold what `Scene.grasps` lets them."""
 
-    file: str  # MJCF, whose actuators are of the types intvelocity or position; see doojax.robots.DUAL_ARM
-    tools: tuple[str, ...]  # sites
+    # MJCF, whose actuators are of the types intvelocity or position, see doojax.robots.DUAL_ARM; or URDF, all
+    # of whose joints have limits of effort and velocity
+    file: str
+    tools: tuple[str, ...]  # sites or bodies
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the file's origin, m
 
 

@@ -1,6 +1,7 @@
 """A robot's arms as a part of a scene: links that collide, joints that follow velocities with bounded forces.
 
-The bodies are those of a robot's MJCF file. Its actuators become position controllers of the same gain and
+The bodies are those of a robot's MJCF or URDF file; a URDF file has no actuators and gets some, see
+`doojax.simulation.parts.urdf`. Actuators become position controllers of the same gain and
 force, whose targets run at the commanded velocities, no farther ahead of the joints than 0.02 rad: that is
 what MuJoCo's ``intvelocity`` does with its windup bounded, but without a state besides `SimState.commanded`.
 Position controllers stay what they are; what they damp is the velocity that is not commanded. Joints get the
@@ -9,6 +10,7 @@ inertia of drives, as much as keeps controller and damping stable at the scene's
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
@@ -16,7 +18,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from doojax.robots.urdf import JointLimits, urdf_limits
 from doojax.simulation.parts.base import Frames, Part, Places, Turn, find_frames
+from doojax.simulation.parts.urdf import LEAD, add_controllers
 from doojax.simulation.rope import FLOOR_CONTACT, OBSTACLE_CONTACT
 
 if TYPE_CHECKING:
@@ -24,9 +28,8 @@ if TYPE_CHECKING:
     from doojax.simulation.scenes import Arms, Scene
 
 PREFIX = "robot_"  # of all names of the file
-LEAD = 0.02  # rad, that a target is ahead of its joint at most
 TOOL_RADIUS = 0.02  # m, of the ball around a tool that counts as what touches obstacles
-SPEED = 1.0  # rad/s or m/s, at most, of joints with position controllers, whose files say none
+SPEED = 1.0  # rad/s or m/s, at most, of joints with position controllers, where files say none
 
 
 class Drive(NamedTuple):
@@ -47,13 +50,26 @@ class ArmBodies(Part):
     arms: "Arms"
 
     def _spec(self) -> mujoco.MjSpec:
-        return mujoco.MjSpec.from_file(self.arms.file)
+        """What the file says, with a site for each tool that is a body."""
+        spec = mujoco.MjSpec.from_file(self.arms.file)
+        if self._urdf is not None:
+            spec.compiler.fusestatic = False  # links that do not move, such as tools, stay what they are
+            add_controllers(spec, Path(self.arms.file), self._urdf)
+        for name in self.arms.tools:
+            if spec.site(name) is None and spec.body(name) is not None:
+                spec.body(name).add_site(name=name)
+        return spec
+
+    @cached_property
+    def _urdf(self) -> dict[str, JointLimits] | None:
+        return urdf_limits(Path(self.arms.file))
 
     def add(self, spec: mujoco.MjSpec, scene: "Scene") -> None:
         """Attach the file's bodies, with controllers and inertias as the module says.
 
         Raises:
-            ValueError: a tool is no site of the file, or its actuators are none for this.
+            ValueError: a tool is no site or body of the file, its actuators are none for this, or a joint of
+                a URDF file has no limits to make one of.
         """
         for name in self.arms.tools:
             self._site(name)
@@ -93,8 +109,10 @@ class ArmBodies(Part):
         found = spec.site(name)
         if found is None:
             sites = ", ".join(site.name for site in spec.sites)
+            bodies = ", ".join(body.name for body in spec.bodies if body.name != "world")
             raise ValueError(
-                f"{self.arms.file} has no tool {name!r}: expected one of its sites, {sites or 'none'}"
+                f"{self.arms.file} has no tool {name!r}: expected one of its sites, {sites or 'none'}, or "
+                f"bodies, {bodies or 'none'}"
             )
         return found
 
@@ -137,8 +155,9 @@ class ArmBodies(Part):
             low, high = model.actuator_ctrlrange[number]
         elif model.jnt_limited[joint]:
             low, high = model.jnt_range[joint]
-        speed = np.abs(model.actuator_ctrlrange[number]).min() if integrates else SPEED
         name = model.joint(joint).name
+        own = SPEED if self._urdf is None else self._urdf[name].speed
+        speed = np.abs(model.actuator_ctrlrange[number]).min() if integrates else own
         return Drive(name, gain, -float(bias[2]), float(low), float(high), float(speed))
 
     def frames(self) -> tuple[Frames, ...]:
