@@ -39,15 +39,19 @@ class ArmsFeasible(Jittable):
 
     def postures(self, hands: Float[Array, "G 3"]) -> tuple[Float[Array, "S J"], Float[Array, "S"]]:
         """Joints that each start leads to, and how far a tool is off then, m; hands in the world."""
-        places = self._turned(hands - jnp.array(self.base), -self.yaw)
+        places = self.seen_from_base(hands)
         return jax.vmap(lambda start: tools_towards(self.robot, start, places, self.moving, ITERATIONS))(
             self.starts
         )
 
+    def seen_from_base(self, places: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """Places of the world, m, in the robot's base's frame."""
+        return self._turned(places - jnp.array(self.base), -self.yaw)
+
     def free(self, obstacles: Obstacles, joints: Float[Array, "S J"]) -> Bool[Array, "S"]:
         """Whether arms are free of obstacles (world frame), of themselves and of the floor at 0."""
         half = jnp.array([np.cos(self.yaw / 2), 0.0, 0.0, -np.sin(self.yaw / 2)])
-        centre = self._turned(obstacles.centre - jnp.array(self.base), -self.yaw)
+        centre = self.seen_from_base(obstacles.centre)
         turn = quaternion_multiply(half, obstacles.quaternion)
         seen = eqx.tree_at(lambda o: (o.centre, o.quaternion), obstacles, (centre, turn))
         return are_free(self.robot, joints, seen, self.margin, -self.base[2])

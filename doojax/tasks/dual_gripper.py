@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -67,6 +68,9 @@ class DualGripper(RopeTask):
     goal_point: int = MIDPOINT
     workspace: Box = WORKSPACE
     scene: Scene = field(default_factory=default_scene)  # of both phases: in phase one obstacles are parked
+    # where a dual arm stands that carries the hands, if arms are asked for: before the table, facing it
+    arms_base: ClassVar[tuple[float, float, float]] = (0.1, 0.0, 0.8)  # m, on a plinth
+    arms_yaw: ClassVar[float] = -np.pi / 2
 
     @classmethod
     def of(cls, phase: Phase, crowd: int) -> "DualGripper":

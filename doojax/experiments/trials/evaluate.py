@@ -65,6 +65,7 @@ def evaluate(
     keep_trees: bool = False,
     accept: str | None = None,
     margin: float | None = None,
+    arms: bool = False,
     allow_seen: bool = False,
 ) -> None:
     """Try methods on the same scenes: one record a trial, for doojax compare and doojax view.
@@ -93,6 +94,9 @@ def evaluate(
             that fraction of what it accepts was to be wrong; by default what is more likely right than wrong.
             With the method deviation, only where the upper bound that so many exceed is below its limit.
         margin: metres, what the collision checker keeps from obstacles; by default 0.02.
+        arms: of dual_gripper, plan only what the dual arm, which stands before the table, can carry out; the
+            hands that follow plans are free ones. Trials that arms cannot begin, or whose goals they cannot
+            reach, end at once and are not reached.
         allow_seen: go on with scenes that a model saw in training, and mark the results.
 
     Raises:
@@ -139,6 +143,7 @@ def evaluate(
         "side_by_side": side_by_side,
         "accept": accept,
         **({} if margin is None else {"margin": margin}),
+        **({"arms": True} if arms else {}),
         "allow_seen": allow_seen,
     }
     simulator = the_task.simulator(engine)
@@ -156,7 +161,7 @@ def evaluate(
             claim(out / name, METHOD, about, "evaluation")
             if warning := warning_of(seen[name], name):
                 console.print(warning, style="yellow")
-            method = make_method(name, the_task, simulator, found, accept, margin)
+            method = make_method(name, the_task, simulator, found, accept, margin, arms)
             missing = [i for i in range(trials) if not record_file(out, name, i).exists()]
             groups = sorted({i // side_by_side for i in missing})
             with progress_bar(console) as progress:

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from doojax.models import Always, CollisionChecker
+from doojax.models import Always, CollisionChecker, Conjunction
 
 UNLEARNED = {"always": Always, "collision_checker": CollisionChecker}
 # Method or kind of a judge -> what its scores are called.
@@ -35,7 +35,12 @@ def score_said(judge: str, score: float) -> str:
 
 
 def threshold_of(judge: Any) -> float | None:
-    """The score at which a judge's verdict changes, in the score's unit; None where it has none."""
+    """The score at which a judge's verdict changes, in the score's unit; None where it has none.
+
+    Of several judges that must all accept, that of the first, whose scores are recorded.
+    """
+    if isinstance(judge, Conjunction):
+        return threshold_of(judge.judges[0])
     for name in ("limit", "threshold", "margin"):  # of an estimator of deviations, a classifier, a checker
         value = getattr(judge, name, None)
         if value is not None and math.isfinite(float(value)):

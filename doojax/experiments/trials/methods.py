@@ -5,10 +5,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from doojax.experiments.trials.carried import arms_of
 from doojax.experiments.trials.recipes import RECIPES as RECIPES
 from doojax.experiments.trials.setting import Method
 from doojax.learning.checkpoints import Header
-from doojax.models import Always, CollisionChecker, Stricter
+from doojax.models import Always, CollisionChecker, Conjunction, Stricter
 from doojax.planning import simulated, simulated_start
 from doojax.planning.recovery import RandomRecovery
 from doojax.simulation.state import Simulator
@@ -79,6 +80,7 @@ def make_method(
     models: Mapping[str, Path],
     accept: str | None = None,
     margin: float | None = None,
+    arms: bool = False,
 ) -> Method:
     """The method called ``name``.
 
@@ -94,11 +96,14 @@ def make_method(
             do not look at it.
         margin: metres, what the collision checker keeps from obstacles; by default its own. Other methods do
             not look at it.
+        arms: whether the task's arms must be able to carry the hands, see
+            `doojax.experiments.trials.carried`.
 
     Raises:
-        ValueError: as `needed_models`, for a rate for which the classifier has no threshold, and for a
-            margin that is negative or not finite.
+        ValueError: as `needed_models`, for a rate for which the classifier has no threshold, for a margin
+            that is negative or not finite, and for arms that the task lacks, or of a policy.
     """
+    carried = arms_of(task) if arms else None
     if margin is not None and not 0 <= margin < float("inf"):
         raise ValueError(f"margin is {margin}, expected metres, at least 0")
     from doojax.learning.checkpoints import load_model
@@ -128,9 +133,14 @@ def make_method(
         return unlearned[kind]() if kind in unlearned else loaded(kind)
 
     recovery = judge(recipe.recovery) if recipe.recovery else None
+    if recipe.policy and carried is not None:
+        raise ValueError(f"method {name!r} plans nothing that could be kept to what arms carry: no --arms")
     if recipe.policy:
         made["policy"] = loaded(recipe.policy)
     judging = judge(recipe.reliability)
+    if carried is not None:
+        judging = Conjunction((judging, carried))
+        made["arms"] = carried
     made["error_threshold_m"] = errors.get(recipe.reliability) or errors.get(recipe.dynamics)
     return Method(name, dynamics, judging, recovery, **made)
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from doojax.commands import command_line
 from doojax.datasets.progress import announce
 from doojax.experiments.reports.provenance import digests
+from doojax.experiments.trials.carried import refusals
 from doojax.experiments.trials.evaluate import with_other_rope
 from doojax.experiments.trials.methods import find_models, make_method, needed_models, pretrained_models
 from doojax.experiments.trials.record_files import save_record
@@ -50,6 +51,7 @@ def plan(
     budget: TrialSettings = BUDGET,
     accept: str | None = None,
     margin: float | None = None,
+    arms: bool = False,
     allow_seen: bool = False,
     out: Path | None = None,
 ) -> None:
@@ -76,6 +78,8 @@ def plan(
             that fraction of what it accepts was to be wrong; by default what is more likely right than wrong.
             With the method deviation, only where the upper bound that so many exceed is below its limit.
         margin: metres, what the collision checker keeps from obstacles; by default 0.02.
+        arms: of dual_gripper, plan only what the dual arm, which stands before the table, can carry out; the
+            hands that follow the plan are free ones.
         allow_seen: plan in a scene that a model saw in training, too.
         out: the record to write, ending in .npz, which must not be there yet; by default the first of
             plans/TASK_METHOD_1.npz, plans/TASK_METHOD_2.npz, ... that is not.
@@ -83,7 +87,8 @@ def plan(
     Raises:
         FileExistsError: there is a record of this name.
         ValueError: for names or indices that do not exist, a goal out of reach, a scene in collision at the
-            start, models that are missing or of another task, or a scene that a model saw in training.
+            start, models that are missing or of another task, a scene that a model saw in training, or arms
+            that cannot hold the rope where it is, or reach the goal.
     """
     check_seed(seed)
     command = command_line(plan, locals())
@@ -107,7 +112,12 @@ def plan(
     check_problem(the_task, Problem(simulator.obstacles(start), seen, aim, stream(seed, "plan")))
 
     announce(f"planning in {task} with {method}: a minute or so, most of it compiling the first time")
-    chosen = make_method(method, the_task, simulator, found, accept, margin)
+    chosen = make_method(method, the_task, simulator, found, accept, margin, arms)
+    if chosen.arms is not None:
+        here = jax.tree.map(lambda leaf: leaf[None], (simulator.obstacles(start), seen, aim))
+        (refused,) = refusals(chosen.arms, the_task, *here)
+        if refused:
+            raise ValueError(refused)
     trials = Trials(*batch, [scene or 0], seed)
     (record,) = run_trials(
         the_task, simulator, chosen, planning, budget, trials, keep_trees=True, execute=execute

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from doojax.models.arms import ArmsFeasible
 from doojax.models.policy import Policy
 from doojax.models.protocols import Dynamics, Recovery, Reliability
 from doojax.planning import Goal, HostDynamics
@@ -25,6 +26,7 @@ class Method:
     begin: Callable[[Simulator, SimState], State] = observed  # the state that a plan starts from
     error_threshold_m: float | None = None  # of the model error, below which a prediction counts as right
     policy: Policy | None = None  # if there is one, it acts, and nothing is planned
+    arms: ArmsFeasible | None = None  # what carries the hands; the reliability has it, too
 
 
 @dataclass(frozen=True)

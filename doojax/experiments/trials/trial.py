@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from doojax.actions import nothing_of
 from doojax.environments.observations import features, taken
+from doojax.experiments.trials.carried import refusals, with_arms
 from doojax.experiments.trials.execution import Moves, carry_out, distances
 from doojax.experiments.trials.judges import threshold_of
 from doojax.experiments.trials.log import REACHED, Log, element, record_plan
@@ -94,6 +95,11 @@ def run_trials(
     for log, run in zip(logs, trials.wanted or [True] * len(logs), strict=True):
         if not run:
             log.stop(NOT_WANTED)
+    if method.arms is not None:
+        told = refusals(method.arms, task, obstacles, seen, goals)
+        for log, refused in zip(logs, told, strict=True):
+            if refused and log.end is None:
+                log.stop(refused)
     if method.policy is not None:
         _follow(task, simulator, method.policy, settings, trials, logs, limits, execute)
     for turn in range(0 if method.policy is not None else settings.searches + 1):
@@ -235,4 +241,5 @@ def _record(
     about["error_threshold_m"] = method.error_threshold_m
     about["score_threshold"] = threshold_of(method.reliability)
     named = replace(record, method=method.name, seed=trials.seed, about=about)
-    return replace(named, about={**about, "why": explained(named)})
+    explained_too = replace(named, about={**about, "why": explained(named)})
+    return explained_too if method.arms is None else with_arms(explained_too, method.arms)
