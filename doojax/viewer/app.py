@@ -76,8 +76,7 @@ def view(
     """
     server = start_server(host, port)
     console = Console(soft_wrap=True)
-    own = str(path) == OWN_ROBOT and not path.exists()
-    App(server, DUAL_ARM if own else path, tools)
+    App(server, meant_by(path), tools)
     shown = f"[{host}]" if ":" in host else {"0.0.0.0": "localhost"}.get(host, host)
     text = f"{path} is shown at http://{shown}:{server.get_port()} (Ctrl-C ends)"
     console.print(text, highlight=False, markup=False)
@@ -93,6 +92,11 @@ def view(
         threading.Event().wait()
     finally:
         server.stop()
+
+
+def meant_by(path: Path) -> Path:
+    """The file of the robot that comes with doojax, if its name is given and nothing else has it."""
+    return DUAL_ARM if str(path) == OWN_ROBOT and not path.exists() else path
 
 
 def tunnel_hint(host: str, port: int, environment: Mapping[str, str]) -> str:

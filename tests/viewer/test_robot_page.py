@@ -1,12 +1,14 @@
 """A robot's page: links where MuJoCo has them, whether it is free, targets that its tools reach or not."""
 
 import re
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from doojax.robots import read_robot
+from doojax.robots import DUAL_ARM, read_robot
+from doojax.viewer.app import meant_by
 from doojax.viewer.episodes import rotation_matrices
 from doojax.viewer.page import Page, start_server
 from doojax.viewer.robot_page import RobotPage
@@ -120,6 +122,13 @@ def test_what_cannot_be_reached_is_told_and_the_robot_stays(shown, page):
         page.message.content.replace("\\", "")
     )
     assert shown.joints == pytest.approx([0.2, 0.1])
+
+
+def test_the_robot_that_comes_along_has_a_name_unless_something_else_has_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert meant_by(Path("dual_arm")) == DUAL_ARM
+    (tmp_path / "dual_arm").mkdir()
+    assert meant_by(Path("dual_arm")) == Path("dual_arm")
 
 
 def test_sliders_move_it_in_a_browser(view, file):
