@@ -42,6 +42,10 @@ class Line(eqx.Module):
         joints = jnp.where(place[:, None] == 0, self.end, self.begin + along * (self.end - self.begin))
         return joints, index < self.count
 
+    def over(self, number: int) -> Bool[Array, "*b"]:
+        """Whether nothing is left after so many more places."""
+        return self.asked + number >= self.count
+
 
 def line_to(begin: Float[Array, "M"], end: Float[Array, "M"], step: float | Float[Array, ""]) -> Line:
     """Places at most ``step`` apart by the joint that moves most, but never more than `MOST_PLACES`."""
@@ -51,10 +55,28 @@ def line_to(begin: Float[Array, "M"], end: Float[Array, "M"], step: float | Floa
 
 
 @runtime_checkable
+class Places(Protocol):
+    """What is asked about, a few places at a time: a `Line`, or what else has a beginning and an end."""
+
+    begin: Float[Array, "*b M"]
+
+    def places(self, number: int) -> tuple[Float[Array, "n M"], Bool[Array, "n"]]:
+        """See `Line.places`."""
+        ...
+
+    def over(self, number: int) -> Bool[Array, "*b"]:
+        """See `Line.over`."""
+        ...
+
+
+@runtime_checkable
 class Walk(Protocol):
     """Whoever goes along lines: arrays, of one query or of many."""
 
-    line: Line
+    @property
+    def line(self) -> Places:
+        """That it is on."""
+        ...
 
     @property
     def going(self) -> Bool[Array, "*b"]:
@@ -71,6 +93,7 @@ class Outcome(eqx.Module):
     """What came of the places of one line that were asked."""
 
     asked: Int[Array, "*b"]
+    before: Int[Array, "*b"]  # of them, before the first that is not free
     failed: Bool[Array, "*b"]  # one is not free
     passed: Bool[Array, "*b"]  # all of the line are
 
@@ -87,7 +110,7 @@ def walked[W: Walk](
     ``go_on(walk, outcome, number)`` is one walk after a round; it is called for one that ended too, and must
     then leave it as it is.
     """
-    total = walks.line.count.shape[0]
+    total = walks.line.begin.shape[0]
     width = min(lanes, total)
 
     def a_round(_: Array, now: tuple[W, Array]) -> tuple[W, Array]:
@@ -97,7 +120,9 @@ def walked[W: Walk](
         query, margin = (jnp.repeat(values, at_once) for values in (numbers, own.margin))
         passed = free(flat, query, margin).reshape(width, at_once) | ~real
         failed = ~passed.all(1)
-        outcome = Outcome(real.sum(1), failed, ~failed & (own.line.asked + at_once >= own.line.count))
+        before = jnp.cumprod(passed, axis=1, dtype=int).sum(1)
+        over = jax.vmap(lambda line: line.over(at_once))(own.line)
+        outcome = Outcome(real.sum(1), before, failed, ~failed & over)
         return jax.vmap(go_on)(own, outcome, numbers), numbers
 
     def advance(walks: W) -> W:

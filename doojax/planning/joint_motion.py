@@ -1,8 +1,9 @@
 """Motions of a robot's joints past obstacles: many queries side by side, shortened, and timed.
 
-`plan_motions` searches (see `doojax.planning.joint_tree`), shortens what it finds and checks it once more,
-at twice the places (`doojax.planning.joint_shortcut`). `repaired_start` moves joints that begin in slight
-collision out of it, and `MotionPlan.at` says where joints are when.
+`plan_motions` searches (see `doojax.planning.joint_tree`), shortens what it finds
+(`doojax.planning.joint_shortcut`) and makes sure that it is free everywhere, not at some places of it alone
+(`doojax.planning.joint_sweep`). `repaired_start` moves joints that begin in slight collision out of it, and
+`MotionPlan.at` says where joints are when.
 """
 
 from dataclasses import dataclass
@@ -19,10 +20,12 @@ from doojax.modules import Jittable
 from doojax.parts import traced
 from doojax.planning.joint_lines import MOST_PLACES, FreeMany, Outcome, walked
 from doojax.planning.joint_shortcut import JointPath, shortened, way
+from doojax.planning.joint_sweep import Sweep, sweep, swept
 from doojax.planning.joint_tree import JointSearch, Lengths, MotionQuery, begun, grown
-from doojax.robots import Robot, are_free, clearance
+from doojax.robots import Robot, are_free, clearance, travel
 from doojax.types import Obstacles
 
+ON_CPU, ON_ACCELERATORS = 4, 64  # more keep a CPU busy with nothing while the last ones are searched
 FARTHEST = float(np.deg2rad(280))  # that the thesis lets a joint move from where it starts, rad
 
 
@@ -38,12 +41,14 @@ class MotionSettings:
     farthest: float = FARTHEST  # rad, that a joint may move from where it starts
     waypoints: int = 64  # of a motion, at most
     shortcuts: int = 8  # that are tried
-    lanes: int = 32  # queries that are searched at once; others wait for their turn
+    lanes: int | None = None  # queries that are searched at once; by default `ON_CPU` or `ON_ACCELERATORS`
     at_once: int = 4  # places of each line that are asked about before it goes on
 
     def __post_init__(self):
         """Refuse what finds nothing."""
         for name, value in vars(self).items():
+            if value is None:
+                continue
             least = 0 if name in ("margin", "shortcuts") else 2 if name in ("nodes", "waypoints") else None
             if not (value > 0 if least is None else value >= least) or value > 1e6:
                 wanted = "more than 0" if least is None else f"{least} or more"
@@ -101,6 +106,11 @@ class MotionPlanner(Jittable):
 
         return many
 
+    def travels(self, points: Float[Array, "W M"]) -> Float[Array, "W-1"]:
+        """How far any part of the robot moves at most from one point to the next, m."""
+        change = jnp.zeros((len(points) - 1, len(self.robot.joints)), points.dtype)
+        return travel(self.robot, change.at[:, np.array(self.moving)].set(points[1:] - points[:-1]))
+
     def check(self, start: Float[Array, "J"], goals: Float[Array, "G J"]) -> None:
         """Say what is wrong with a query, outside of jit.
 
@@ -151,7 +161,9 @@ def plan_motions(
     queries = jax.vmap(planner.query)(starts, goals)
     keys = numbered(key, range(len(starts)))
     free, lengths = planner.free(starts), Lengths(settings.longest, settings.step)
-    lanes, at_once = settings.lanes, settings.at_once
+    at_once, lanes = settings.at_once, settings.lanes
+    if lanes is None:
+        lanes = ON_CPU if jax.default_backend() == "cpu" else ON_ACCELERATORS
 
     def begin(query: MotionQuery, key: Array) -> JointSearch:
         return begun(query, lengths, settings.nodes, settings.checks, settings.margin, key)
@@ -168,19 +180,21 @@ def plan_motions(
         lambda own, key: way(own, settings.waypoints, settings.shortcuts, settings.margin, settings.step, key)
     )(searches, keys)
     paths = walked(ways, free, shorten, lanes, at_once)
-    return jax.vmap(partial(_timed, planner))(paths, searches.checks, starts)
+    sweeps = jax.vmap(sweep)(paths.points, paths.count, jax.vmap(planner.travels)(paths.points), paths.whole)
+    sweeps = walked(sweeps, free, lambda own, outcome, _: swept(own, outcome, at_once), lanes, at_once)
+    return jax.vmap(partial(_timed, planner))(sweeps, searches.checks, starts)
 
 
 def _timed(
-    planner: MotionPlanner, path: JointPath, checks: Int[Array, ""], start: Float[Array, "J"]
+    planner: MotionPlanner, way: Sweep, checks: Int[Array, ""], start: Float[Array, "J"]
 ) -> MotionPlan:
-    """A motion along a way, or of none to the start."""
+    """A motion along a way that is free, or else none from the start."""
     moving, settings = np.array(planner.moving), planner.settings
-    points = jnp.where(path.whole, path.points, start[moving])
+    points = jnp.where(way.free, way.points, start[moving])
     every = jnp.broadcast_to(start, (settings.waypoints, len(start))).at[:, moving].set(points)
     longest = (jnp.abs(points[1:] - points[:-1]) / planner.robot.speed[moving]).max(-1)
     times = jnp.concatenate([jnp.zeros(1, longest.dtype), jnp.cumsum(longest)])
-    return MotionPlan(every, jnp.where(path.whole, path.count, 1), times, path.whole, checks)
+    return MotionPlan(every, jnp.where(way.free, way.count, 1), times, way.free, checks)
 
 
 def repaired_start(

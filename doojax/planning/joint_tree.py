@@ -86,7 +86,7 @@ def begun(
         most=jnp.where(query.active.any(), most, 0),
         margin=jnp.full((), margin, query.start.dtype),
     )
-    nothing = Outcome(zero, jnp.array(True), jnp.array(False))  # so that a line is begun
+    nothing = Outcome(zero, zero, jnp.array(True), jnp.array(False))  # so that a line is begun
     return grown(query, search, nothing, lengths, key)
 
 

@@ -6,6 +6,7 @@ from doojax.robots.clearance import floor_distances as floor_distances
 from doojax.robots.clearance import is_free as is_free
 from doojax.robots.clearance import obstacle_distances as obstacle_distances
 from doojax.robots.clearance import self_distance as self_distance
+from doojax.robots.clearance import travel as travel
 from doojax.robots.collisions import are_free as are_free
 from doojax.robots.displacements import Displaced as Displaced
 from doojax.robots.displacements import displaced as displaced

@@ -95,3 +95,28 @@ def capsule_distances(
     start, end = capsule_ends(robot, joints)
     apart = segment_distance(start[first], end[first], start[second], end[second])
     return apart - robot.capsule_radius[first] - robot.capsule_radius[second]
+
+
+def travel(robot: Robot, change: Float[Array, "*b J"]) -> Float[Array, "*b"]:
+    """How far any point of the robot's capsules moves at most while joints change straight by so much, m.
+
+    A hinge moves what it carries by its angle times the distance from it, which is at most the sum of all
+    offsets from there on; a slide by its own length. Infinite where a slide without limits is in between.
+    """
+    index = range(len(robot.joints))
+    chains = [robot.chain(link) for link in robot.capsule_links]
+    carries = np.array([[joint in chain for joint in index] for chain in chains])
+    beyond = np.array(
+        [
+            [[k in chain and joint in chain[: chain.index(k)] for k in index] for joint in index]
+            for chain in chains
+        ]
+    )
+    slides = np.array(robot.slides, bool)
+    room = jnp.maximum(jnp.abs(robot.low - robot.zero), jnp.abs(robot.high - robot.zero))
+    offsets = jnp.linalg.norm(robot.offset, axis=-1) + jnp.where(slides, room, 0)
+    own = jnp.linalg.norm(robot.capsule_ends, axis=-1).max(0)
+    levers = own[:, None] + jnp.where(beyond, offsets, 0).sum(-1)
+    levers = jnp.where(carries, jnp.where(slides, 1, levers), 0)
+    moved = jnp.abs(change)[..., None, :]
+    return jnp.where(moved > 0, levers * moved, 0).sum(-1).max(-1)

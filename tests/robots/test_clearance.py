@@ -9,6 +9,7 @@ import pytest
 from doojax.robots import (
     DUAL_ARM,
     are_free,
+    capsule_ends,
     clearance,
     dual_arm,
     floor_distances,
@@ -16,6 +17,7 @@ from doojax.robots import (
     obstacle_distances,
     read_robot,
     self_distance,
+    travel,
 )
 from doojax.types import Obstacles
 
@@ -157,3 +159,17 @@ def test_shapes_that_are_no_capsules_are_covered():
     assert np.asarray(robot.capsule_radius) == pytest.approx(expected)
     lengths = np.linalg.norm(robot.capsule_ends[1] - robot.capsule_ends[0], axis=-1)
     assert lengths == pytest.approx([0.2, 0, 0], abs=1e-6)
+
+
+def test_nothing_moves_farther_than_is_said():
+    """Ends of capsules of random motions; of one hinge, the whole arm's length times its angle."""
+    begin, end = within_limits(ARMS, 64, seed=1), within_limits(ARMS, 64, seed=2)
+    ends = jax.jit(jax.vmap(lambda q: capsule_ends(ARMS, q)))
+    moved = np.linalg.norm(np.asarray(ends(end) - ends(begin)), axis=-1).max((1, 2))
+    most = np.asarray(travel(ARMS, jnp.asarray(end - begin)))
+    assert (moved <= most + 1e-5).all()
+    torso = np.zeros(len(ARMS.joints), np.float32)
+    torso[0] = 0.01
+    small = np.linalg.norm(np.asarray(ends(begin + torso) - ends(begin)), axis=-1).max()
+    assert 0.3 * float(travel(ARMS, jnp.asarray(torso))) < small <= float(travel(ARMS, jnp.asarray(torso)))
+    assert float(travel(ARMS, jnp.zeros(len(ARMS.joints)))) == 0
