@@ -19,8 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 MOST_PLACES = 512  # on a line
 ROUNDS = 8  # until lanes whose walk ended are given to others
 
-type FreeMany = Callable[[Float[Array, "N M"], Int[Array, "N"], Float[Array, "N"]], Bool[Array, "N"]]
-"""Whether N joint positions, of the queries with these numbers, keep these margins (m)."""
+type FreeMany = Callable[[Float[Array, "N M"], Int[Array, "N"], Float[Array, "N *s"]], Bool[Array, "N"]]
+"""Whether N joint positions, of the queries with these numbers, keep these margins (m; what it takes)."""
 
 
 class Line(eqx.Module):
@@ -84,8 +84,8 @@ class Walk(Protocol):
         ...
 
     @property
-    def margin(self) -> Float[Array, "*b"]:
-        """What the line's places must keep, m."""
+    def margin(self) -> Float[Array, "..."]:
+        """What the line's places must keep, m: of shape *b, or one for each part of the robot, last."""
         ...
 
 
@@ -117,7 +117,7 @@ def walked[W: Walk](
         own, numbers = now
         places, real = jax.vmap(lambda line: line.places(at_once))(own.line)
         flat = places.reshape(width * at_once, -1)
-        query, margin = (jnp.repeat(values, at_once) for values in (numbers, own.margin))
+        query, margin = (jnp.repeat(values, at_once, axis=0) for values in (numbers, own.margin))
         passed = free(flat, query, margin).reshape(width, at_once) | ~real
         failed = ~passed.all(1)
         before = jnp.cumprod(passed, axis=1, dtype=int).sum(1)

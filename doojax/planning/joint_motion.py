@@ -95,19 +95,23 @@ class MotionPlanner(Jittable):
         return MotionQuery(begin, ends, ((ends >= low) & (ends <= high)).all(-1), low, high)
 
     def free(self, starts: Float[Array, "Q J"]) -> FreeMany:
-        """Whether joints that move are free, while the others stay as in a query's start."""
+        """Whether joints that move are free, while the others stay as in a query's start.
+
+        With a margin for each capsule, that is its slack.
+        """
         index = np.array(self.moving)
 
         def many(
-            values: Float[Array, "N M"], query: Int[Array, "N"], margin: Float[Array, "N"]
+            values: Float[Array, "N M"], query: Int[Array, "N"], margin: Float[Array, "N *s"]
         ) -> Bool[Array, "N"]:
             joints = starts[query].at[:, index].set(values)
-            return are_free(self.robot, joints, self.obstacles, margin, self.floor)
+            keeps, slack = (margin, None) if margin.ndim == 1 else (0.0, margin)
+            return are_free(self.robot, joints, self.obstacles, keeps, self.floor, slack)
 
         return many
 
-    def travels(self, points: Float[Array, "W M"]) -> Float[Array, "W-1"]:
-        """How far any part of the robot moves at most from one point to the next, m."""
+    def travels(self, points: Float[Array, "W M"]) -> Float[Array, "W-1 S"]:
+        """How far each capsule of the robot moves at most from one point to the next, m."""
         change = jnp.zeros((len(points) - 1, len(self.robot.joints)), points.dtype)
         return travel(self.robot, change.at[:, np.array(self.moving)].set(points[1:] - points[:-1]))
 

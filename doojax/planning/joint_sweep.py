@@ -1,8 +1,8 @@
 """Whether a motion is free everywhere, and not at some places of it alone.
 
-No part of a robot moves farther than its `travel` while joints go straight. So a place that keeps as much
-from everything as two parts travel from there to half of a stretch's length, either way, has all of that
-stretch free. Stretches grow where there is room and halve where there is not.
+No part of a robot moves farther than its `doojax.robots.travel` while joints go straight. So a stretch of a
+line is free if its middle is, with each part as much larger as it travels in half of the stretch. Stretches
+grow where there is room and halve where there is not.
 """
 
 import equinox as eqx
@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from doojax.planning.joint_lines import Outcome
 
-FIRST = 0.1  # m, that the robot travels on the first stretches of a line
-LEAST = 1e-3  # m, that it travels on one: where no more is free, the line counts as not free
+FIRST = 0.1  # m, that no part travels farther on the first stretches of a line
+LEAST = 1e-3  # m, that some part travels on one: where no more is free, the line counts as not free
 DONE = 1 - 1e-6
 
 
@@ -22,7 +22,7 @@ class Stretches(eqx.Module):
 
     begin: Float[Array, "*b M"]
     end: Float[Array, "*b M"]
-    travel: Float[Array, "*b"]  # m, see `doojax.robots.travel`
+    travel: Float[Array, "*b S"]  # m, of each part of the robot
     at: Float[Array, "*b"]  # the share of the line that is free for certain
     part: Float[Array, "*b"]  # the share of a stretch
 
@@ -42,7 +42,7 @@ class Sweep(eqx.Module):
 
     points: Float[Array, "*b W M"]
     count: Int[Array, "*b"]  # of points; after the last they repeat it
-    travels: Float[Array, "*b W-1"]  # m, along each line
+    travels: Float[Array, "*b W-1 S"]  # m, along each line
     first: Int[Array, "*b"]  # where the line begins
     line: Stretches
     free: Bool[Array, "*b"]  # nothing so far is in the way
@@ -54,13 +54,13 @@ class Sweep(eqx.Module):
         return ~self.ended
 
     @property
-    def margin(self) -> Float[Array, "*b"]:
-        """What a stretch's middle must keep, m: of two parts each moves by half of this at most."""
-        return self.line.travel * self.line.part
+    def margin(self) -> Float[Array, "*b S"]:
+        """How far parts are from where a stretch's middle has them, at most, m."""
+        return self.line.travel * self.line.part[..., None] / 2
 
 
 def sweep(
-    points: Float[Array, "W M"], count: Int[Array, ""], travels: Float[Array, "W-1"], whole: Bool[Array, ""]
+    points: Float[Array, "W M"], count: Int[Array, ""], travels: Float[Array, "W-1 S"], whole: Bool[Array, ""]
 ) -> Sweep:
     """Of one way, at its start."""
     zero = jnp.zeros((), int)
@@ -73,7 +73,7 @@ def swept(own: Sweep, outcome: Outcome, at_once: int) -> Sweep:
     line, all_free = own.line, ~outcome.failed
     at = line.at + outcome.before * line.part
     part = jnp.where(all_free, 2 * line.part, line.part / 2)
-    stopped = ~all_free & (line.travel * part < LEAST)
+    stopped = ~all_free & (line.travel.max() * part < LEAST)
     first = own.first + 1
     over = outcome.passed & (first >= own.count - 1)
     begun = _stretches(own.points, own.travels, jnp.minimum(first, len(own.points) - 2))
@@ -92,7 +92,9 @@ def swept(own: Sweep, outcome: Outcome, at_once: int) -> Sweep:
     )
 
 
-def _stretches(points: Float[Array, "W M"], travels: Float[Array, "W-1"], first: Int[Array, ""]) -> Stretches:
+def _stretches(
+    points: Float[Array, "W M"], travels: Float[Array, "W-1 S"], first: Int[Array, ""]
+) -> Stretches:
     travel = travels[first]
-    part = jnp.minimum(0.25, FIRST / jnp.maximum(travel, FIRST))
-    return Stretches(points[first], points[first + 1], travel, jnp.zeros_like(travel), part)
+    part = jnp.minimum(0.25, FIRST / jnp.maximum(travel.max(), FIRST))
+    return Stretches(points[first], points[first + 1], travel, jnp.zeros_like(part), part)

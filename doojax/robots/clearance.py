@@ -97,8 +97,8 @@ def capsule_distances(
     return apart - robot.capsule_radius[first] - robot.capsule_radius[second]
 
 
-def travel(robot: Robot, change: Float[Array, "*b J"]) -> Float[Array, "*b"]:
-    """How far any point of the robot's capsules moves at most while joints change straight by so much, m.
+def travel(robot: Robot, change: Float[Array, "*b J"]) -> Float[Array, "*b S"]:
+    """How far any point of each capsule moves at most while joints change straight by so much, m.
 
     A hinge moves what it carries by its angle times the distance from it, which is at most the sum of all
     offsets from there on; a slide by its own length. Infinite where a slide without limits is in between.
@@ -119,4 +119,4 @@ def travel(robot: Robot, change: Float[Array, "*b J"]) -> Float[Array, "*b"]:
     levers = own[:, None] + jnp.where(beyond, offsets, 0).sum(-1)
     levers = jnp.where(carries, jnp.where(slides, 1, levers), 0)
     moved = jnp.abs(change)[..., None, :]
-    return jnp.where(moved > 0, levers * moved, 0).sum(-1).max(-1)
+    return jnp.where(moved > 0, levers * moved, 0).sum(-1)

@@ -29,15 +29,18 @@ def are_free(
     obstacles: Obstacles,
     margin: float | Float[Array, "N"] = 0.0,
     floor: float | None = None,
+    slack: Float[Array, "N S"] | None = None,
 ) -> Bool[Array, "N"]:
     """`doojax.robots.is_free` of N joint positions, in a tenth of the time.
 
-    ``margin`` (m) may differ among them; ``obstacles`` are one set, in the base's frame like ``floor``.
+    ``margin`` (m) may differ among them; ``obstacles`` are one set, in the base's frame like ``floor``. With
+    ``slack`` (m) each of the robot's capsules may be as far from where it is: free of everything even then.
     """
     centre, half = _axes(robot, joints)
     margin = jnp.broadcast_to(jnp.asarray(margin, joints.dtype), joints.shape[:1])
-    least = robot.capsule_radius[:, None] + margin
-    free = _clear_of_itself(robot, centre, half, margin)
+    radius = robot.capsule_radius[:, None] + (jnp.zeros_like(margin) if slack is None else slack.T)
+    least = radius + margin
+    free = _clear_of_itself(robot, centre, half, radius, margin)
     if floor is not None:
         free &= (centre[2] - jnp.abs(half[2]) > floor + least).all(0)
     carried = np.array([robot.parents[link] >= 0 for link in robot.capsule_links], bool)
@@ -63,7 +66,7 @@ def _axes(robot: Robot, joints: Float[Array, "N J"]) -> tuple[Numbers, Numbers]:
 
 
 def _clear_of_itself(
-    robot: Robot, centre: Numbers, half: Numbers, margin: Float[Array, "N"]
+    robot: Robot, centre: Numbers, half: Numbers, radius: Float[Array, "S N"], margin: Float[Array, "N"]
 ) -> Bool[Array, "N"]:
     """Whether the axes of pairs are farther apart than their radii and the margin.
 
@@ -85,7 +88,7 @@ def _clear_of_itself(
     t = jnp.clip((b * s + f) / e, -1, 1)
     s = jnp.clip((b * t - c) / a, -1, 1)
     apart = tuple(g + s * x - t * y for g, x, y in zip(gap, one, other, strict=True))
-    reach = (robot.capsule_radius[first] + robot.capsule_radius[second])[:, None] + margin
+    reach = radius[first] + radius[second] + margin
     reach = reach + jnp.where(parallel, 1e-3 * (jnp.sqrt(a) + jnp.sqrt(e)), 0.0)
     return ((_dot(apart, apart) > reach * reach) | (reach < 0)).all(0)
 

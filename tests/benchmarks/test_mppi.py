@@ -23,8 +23,10 @@ def test_ours_costs_less_than_doing_nothing():
 
 
 def test_rows_are_means_over_starts_and_medians_of_plans():
-    found = {"doojax": [(10.0, np.full(4, 1e-3)), (20.0, np.full(4, 3e-3))]}
-    cost, plans = bench.rows_of(found)
+    theirs = [(13.0, np.full(4, 1e-2)), (18.0, np.full(4, 1e-2))]
+    found = {"doojax": [(10.0, np.full(4, 1e-3)), (20.0, np.full(4, 3e-3))], "pytorch-mppi": theirs}
+    more, cost, plans, *_ = bench.rows_of(found)
+    assert more.metric == "closed_loop_cost_difference" and (more.value, more.low, more.high) == (-0.5, -3, 2)
     assert (cost.metric, cost.value, cost.n) == ("closed_loop_cost", 15.0, 2)
     assert (plans.metric, plans.value, plans.unit) == ("mppi_ms", pytest.approx(2.0), "ms")
     assert plans.tags == {"task": "pendulum", "implementation": "doojax"}

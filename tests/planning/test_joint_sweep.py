@@ -32,9 +32,9 @@ def gap(points, centre, radius):
 def is_swept(points, counts):
     def free(values, query, margin):
         away = jnp.linalg.norm(values - jnp.asarray(CENTRES)[query], axis=-1)
-        return away > jnp.asarray(RADII)[query] + margin
+        return away > jnp.asarray(RADII)[query] + margin[:, 0]
 
-    travels = jnp.linalg.norm(points[:, 1:] - points[:, :-1], axis=-1)
+    travels = jnp.linalg.norm(points[:, 1:] - points[:, :-1], axis=-1, keepdims=True)
     begun = jax.vmap(sweep)(points, counts, travels, jnp.ones(len(points), bool))
     return walked(begun, free, lambda own, outcome, _: swept(own, outcome, AT_ONCE), 16, AT_ONCE).free
 

@@ -1,5 +1,6 @@
 """Distances of the robot beside MuJoCo's between the same shapes."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -162,14 +163,34 @@ def test_shapes_that_are_no_capsules_are_covered():
 
 
 def test_nothing_moves_farther_than_is_said():
-    """Ends of capsules of random motions; of one hinge, the whole arm's length times its angle."""
+    """Ends of capsules of random motions; of one hinge, the tools are at nearly the whole arm's length."""
     begin, end = within_limits(ARMS, 64, seed=1), within_limits(ARMS, 64, seed=2)
     ends = jax.jit(jax.vmap(lambda q: capsule_ends(ARMS, q)))
-    moved = np.linalg.norm(np.asarray(ends(end) - ends(begin)), axis=-1).max((1, 2))
+    moved = np.linalg.norm(np.asarray(ends(end) - ends(begin)), axis=-1).max(1)
     most = np.asarray(travel(ARMS, jnp.asarray(end - begin)))
     assert (moved <= most + 1e-5).all()
-    torso = np.zeros(len(ARMS.joints), np.float32)
-    torso[0] = 0.01
-    small = np.linalg.norm(np.asarray(ends(begin + torso) - ends(begin)), axis=-1).max()
-    assert 0.3 * float(travel(ARMS, jnp.asarray(torso))) < small <= float(travel(ARMS, jnp.asarray(torso)))
-    assert float(travel(ARMS, jnp.zeros(len(ARMS.joints)))) == 0
+    torso = jnp.zeros(len(ARMS.joints)).at[0].set(0.01)
+    small = np.linalg.norm(np.asarray(ends(begin + np.asarray(torso)) - ends(begin)), axis=-1).max((0, 1))
+    most = np.asarray(travel(ARMS, torso))
+    assert 0.3 * most.max() < small.max() and (small <= most + 1e-6).all()
+    assert not np.asarray(travel(ARMS, jnp.zeros(len(ARMS.joints)))).any()
+
+
+def test_slack_is_room_for_each_capsule():
+    """As much as capsules that are as much thicker; of two that may meet each has its own."""
+    joints = within_limits(ARMS, 200, seed=3) * 0.15
+    for name, out in (("left_shoulder_2", 0.4), ("right_shoulder_2", -0.4)):  # elbows are near at zero
+        joints[:, ARMS.joints.index(name)] += out
+    slack = np.random.default_rng(4).uniform(0, 0.03, (200, len(ARMS.capsule_radius))).astype(np.float32)
+    found = np.asarray(are_free(ARMS, jnp.asarray(joints), BOX, 0.0, FLOOR, jnp.asarray(slack)))
+    one = jax.jit(
+        lambda q, more: are_free(
+            eqx.tree_at(lambda r: r.capsule_radius, ARMS, ARMS.capsule_radius + more),
+            q[None],
+            BOX,
+            0.0,
+            FLOOR,
+        )[0]
+    )
+    thicker = np.array([one(q, more) for q, more in zip(joints, slack, strict=True)])
+    assert np.array_equal(found, thicker) and 0.05 < found.mean() < 0.95

@@ -21,7 +21,7 @@ from doojax.experiments.reports.summary import SUMMARY, read_summary
 
 MARK = re.compile(r"<!-- row:([\w/-]+):(\w+)(?:\.(low|high|n))?((?: \w+=[^\s>]+)*) -->(.*?)<!-- /row -->")
 GIVEN = re.compile(r"<!-- given -->.*?<!-- /given -->")
-SHOWN = re.compile(r"([\d,]+(?:\.(\d+))?)( ?)(%|cm|mm|ms|)")
+SHOWN = re.compile(r"(-?[\d,]+(?:\.(\d+))?)( ?)(%|cm|mm|ms|)")
 SCALES = {"": (None, 1), "%": ("", 100), "cm": ("m", 100), "mm": ("m", 1000), "ms": ("s", 1000)}
 COUNTS = "two|three|four|five|six|seven|eight|nine|ten|twenty"
 MEASURED = re.compile(

@@ -34,7 +34,7 @@ def numbers() -> dict[str, np.ndarray]:
     arrays["faults"] = np.tile(np.array([0, 0, 4], np.int32), (K, 1))
     arrays["obstacle_kind"] = np.tile(np.array([0, 2], np.int32), (K, 1))
     arrays["obstacle_active"] = np.tile([True, False], (K, 1))
-    arrays["environment"] = np.arange(K, dtype=np.int32) // 1
+    arrays["environment"] = np.arange(K, dtype=np.int32)
     arrays["points"][UNSTABLE, 2:] = np.nan
     return arrays
 

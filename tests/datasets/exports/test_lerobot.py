@@ -1,6 +1,7 @@
 """LeRobot's folder, read back through pyarrow and JSON: every number where its layout wants it."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -129,3 +130,9 @@ def test_a_large_set_is_cut_into_files_between_episodes(episodes, tmp_path, monk
     rows = parquet.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert [(row["data/chunk_index"], row["data/file_index"]) for row in rows[3:5]] == [(0, 0), (0, 1)]
     assert (rows[9]["data/chunk_index"], rows[9]["data/file_index"]) == (1, 0)
+
+
+def test_a_scene_without_obstacles_has_no_state_of_its_surroundings(episodes):
+    bare = {name: episodes.arrays[name] for name in ("points", "grippers", "actions")}
+    found = lerobot.columns_of(replace(episodes, arrays=bare))
+    assert list(found)[:4] == ["observation.state", "action", "next.observation.state", "next.done"]

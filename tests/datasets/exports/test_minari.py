@@ -1,6 +1,7 @@
 """Minari's folder, read back through h5py and JSON."""
 
 import json
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -70,3 +71,11 @@ def test_a_space_is_bounded_where_its_numbers_are():
     }
     assert box(np.zeros((2, 1), np.float32), varying=False)["high"] == [np.inf]
     assert box(np.zeros((2, 1), np.int32), varying=False)["low"] == [-(2**31)]
+
+
+def test_a_scene_without_obstacles_is_seen_by_its_state_alone(episodes, tmp_path):
+    bare = {name: episodes.arrays[name] for name in ("points", "grippers", "actions")}
+    write_minari(replace(episodes, arrays=bare), tmp_path, "bare-v0")
+    with h5py.File(tmp_path / "data/main_data.hdf5") as file:
+        assert sorted(file["episode_9/observations"]) == ["grippers", "points"]
+        assert list(file["episode_9/infos"]) == ["time_s"]

@@ -15,6 +15,7 @@ def results(tmp_path):
         row("success_rate", toy, 0.96667, "", 0.9, 0.99, 150),
         row("success_rate", toy | {"start": "caught"}, 0.5, ""),
         row("error_m", toy, 0.02345, "m"),
+        row("difference", toy, -7.26, ""),
         row("steps_per_s", {"task": "toy", "batch": 64, "contact": True}, 12345.6, "1/s"),
     ]
     path = tmp_path / "planning" / "summary.json"
@@ -37,6 +38,8 @@ def written(line, results):
         ("success_rate.low", "0%", "90%"),
         ("error_m", "9.9 cm", "2.3 cm"),
         ("error_m", "9.9 mm", "23.4 mm"),
+        ("difference", "1.0", "-7.3"),
+        ("difference", "-1", "-7"),
     ],
 )
 def test_a_figure_is_that_of_its_row_as_precise_as_it_was(results, metric, old, new):
