@@ -84,7 +84,7 @@ class RobotPage:
         """Move the robot, and its sliders."""
         self.joints = joints
         for slider, value in zip(self.sliders, joints, strict=True):
-            slider.value = shown_by(slider, value)
+            slider.value = shown_by(slider, float(value))
         self._show()
 
     def solve(self, tool: int) -> None:
@@ -137,7 +137,7 @@ class RobotPage:
     def _read(self) -> None:
         pairs = zip(self.joints.tolist(), self.sliders, strict=True)
         self.joints = np.array(
-            [old if slider.value == shown_by(slider, old) else slider.value for old, slider in pairs],
+            [old if slider.value == shown_by(slider, float(old)) else slider.value for old, slider in pairs],
             np.float32,
         )
         self._show()
