@@ -122,6 +122,11 @@ def obstacles_of(dataset: Dataset, index: int) -> Obstacles:
     """The obstacles of one trajectory; none where the data set does not store them."""
     if "obstacle_kind" in dataset.fields:
         return dataset.obstacles(index)
+    return no_obstacles()
+
+
+def no_obstacles() -> Obstacles:
+    """A scene in which nothing stands."""
     import jax.numpy as jnp
 
     return Obstacles(

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from doojax.geometry.shapes import FAR
 from doojax.keys import stream
 from doojax.robots import IkSettings, Robot, inverse_kinematics
-from doojax.types import Obstacles
+from doojax.viewer.episodes import no_obstacles
 from doojax.viewer.page import Page
 from doojax.viewer.robots import LINK, TOUCHES, Posture, box_of, ends_of, posture, robot_shapes, show_robot
 from doojax.viewer.text import legend, plain, shortened
@@ -36,7 +36,7 @@ class RobotPage:
         """Show the zero posture."""
         self._page, self._robot = page, robot
         self.joints = np.asarray(robot.zero, np.float32)
-        self._floor, self._nothing = floor_of(robot), _no_obstacles()
+        self._floor, self._nothing = floor_of(robot), no_obstacles()
         self._posture = eqx.filter_jit(posture)
         self._solve = eqx.filter_jit(inverse_kinematics)
         self._asked, self._closed = 0, False
@@ -203,13 +203,3 @@ def corners_of(robot: Robot, ends: Float[np.ndarray, "2 S 3"]) -> Float[np.ndarr
     low, high = box_of(shapes)
     room = REACH * float((high - low).max())
     return np.stack([low - room, high + room]).astype(np.float32)
-
-
-def _no_obstacles() -> Obstacles:
-    return Obstacles(
-        kind=jnp.zeros(0, int),
-        centre=jnp.zeros((0, 3)),
-        quaternion=jnp.zeros((0, 4)),
-        half_size=jnp.zeros((0, 3)),
-        active=jnp.zeros(0, bool),
-    )
