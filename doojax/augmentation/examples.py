@@ -14,10 +14,12 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from doojax.augmentation.objectives import Weights, any_transform, free_hands
 from doojax.augmentation.projection import Problem, ProjectionConfig, Term, project
 from doojax.geometry.motion import RigidMotion
+from doojax.parts import in_parts, worth_parts
 from doojax.simulation.scenes import Scene
 from doojax.simulation.state import SimState
 from doojax.types import Obstacles, Verdict
 
+PART = 16  # examples that a thread augments in one call on a CPU
 LEAST_MOVE = 1e-4  # m: an example in which everything moves less shows nothing
 
 
@@ -68,6 +70,7 @@ class Movable(NamedTuple):
     radii: Float[Array, "Q"]  # m
     stays: Obstacles  # [M]
     way: Float[Array, ""]  # m, of what moves farthest
+    some: Int[np.ndarray, "R"] | None = None  # see `Problem.some`
 
 
 class Setting(eqx.Module):
@@ -129,7 +132,6 @@ def transformed(
     return jax.vmap(one)(examples.states, examples.actions, examples.obstacles, parameters)
 
 
-@eqx.filter_jit
 def augment(
     keys: Key[Array, "B"],
     examples: Examples,
@@ -140,6 +142,8 @@ def augment(
     robot: Term = free_hands,
 ) -> Augmented:
     """One augmentation of each example; each depends on its own key and example alone.
+
+    On a CPU each processor projects one example after another, so that none waits for a slower one.
 
     Args:
         keys: of the targets, one for each example.
@@ -154,10 +158,19 @@ def augment(
         see `Augmented`. Examples that have a fault or a number missing, in which nothing moves, or that leave
         the workspace themselves, are refused, with a verdict of their own.
     """
-    one = partial(
-        _augment_one, setting=setting, config=config, weights=weights, validity=validity, robot=robot
-    )
-    return jax.vmap(one)(keys, examples.states, examples.actions, examples.obstacles, examples.sound)
+    how = partial(_augment, setting=setting, config=config, weights=weights, validity=validity, robot=robot)
+    if worth_parts(PART, keys, examples, setting):
+        return in_parts(how, PART, keys, examples)
+    return how(keys, examples)
+
+
+@eqx.filter_jit
+def _augment(keys: Key[Array, "B"], examples: Examples, **setting_and_terms: Any) -> Augmented:
+    one = partial(_augment_one, **setting_and_terms)
+    batch = keys, examples.states, examples.actions, examples.obstacles, examples.sound
+    if jax.default_backend() == "cpu":
+        return jax.lax.map(lambda arguments: one(*arguments), batch)
+    return jax.vmap(one)(*batch)
 
 
 def _augment_one(
@@ -176,7 +189,7 @@ def _augment_one(
     finite = sound & jnp.isfinite(actions).all()
     for leaf in jax.tree.leaves((states, obstacles)):
         finite &= jnp.isfinite(leaf).all()
-    points, radii, stays, way = setting.movable(states, obstacles)
+    points, radii, stays, way, some = setting.movable(states, obstacles)
     points = jnp.where(finite, points, 0.0)
     low, high = -setting.bounds, setting.bounds
     problem = Problem(
@@ -187,6 +200,7 @@ def _augment_one(
         box_high=setting.box_high,
         low=low,
         high=high,
+        some=None if some is None else jnp.asarray(some),
     )
     target = drawn(key, setting.bounds)
     moves = way > LEAST_MOVE

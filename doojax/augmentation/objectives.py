@@ -73,11 +73,9 @@ class Terms(NamedTuple):
         )
 
 
-def box_excess(
-    points: Float[Array, "Q 3"], low: Float[Array, "3"], high: Float[Array, "3"]
-) -> Float[Array, "Q 3"]:
-    """How far (m) each point is outside the workspace along each axis; the sum is equation 3.3."""
-    return jnp.maximum(points - high[None], 0.0) + jnp.maximum(low[None] - points, 0.0)
+def box_excess(along: Float[Array, "Q"], low: Float[Array, ""], high: Float[Array, ""]) -> Float[Array, "Q"]:
+    """How far (m) each point is outside the workspace along one axis; the sum of all is equation 3.3."""
+    return jnp.maximum(along - high, 0.0) + jnp.maximum(low - along, 0.0)
 
 
 def occupancy_excess(distance: Float[Array, "Q"], bands: Bands) -> Float[Array, "Q"]:

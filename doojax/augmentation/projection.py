@@ -6,11 +6,12 @@ the gradient's squared length) needs no learning rate. Rounds and steps are one 
 under `jax.vmap`, each element goes to its next round as soon as it is ready and stops by itself.
 
 The last valid transform on the way is kept: a target that cannot be reached gives what came nearest to it,
-where the thesis's algorithm gives nothing.
+where the thesis's algorithm gives nothing. Of a long trajectory the descent looks at some of its states, and
+what it came to in each round is checked at all of them.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -30,7 +31,7 @@ from doojax.augmentation.objectives import (
     occupancy_excess,
 )
 from doojax.geometry.motion import RigidMotion
-from doojax.geometry.sdf import signed_distance
+from doojax.geometry.sdf import signed_distance_at
 from doojax.types import Obstacles, Verdict
 
 Term = Callable[[Float[Array, "6"]], Float[Array, ""]]
@@ -72,6 +73,7 @@ class Problem(eqx.Module):
     box_high: Float[Array, "3"]
     low: Float[Array, "6"]  # of translation (m) and rotation vector (rad)
     high: Float[Array, "6"]
+    some: Int[Array, "R"] | None = None  # points that the descent looks at; by default all
 
     @property
     def centre(self) -> Float[Array, "3"]:
@@ -84,10 +86,18 @@ class Problem(eqx.Module):
         size = jnp.sqrt(((self.points - self.centre[None]) ** 2).sum(-1).mean())
         return jnp.concatenate([jnp.ones(3, size.dtype), jnp.full(3, jnp.maximum(size, 1e-3))])
 
-    def distances(self, parameters: Float[Array, "6"]) -> Float[Array, "Q"]:
-        """Of the moved points' surfaces to the nearest obstacle, m."""
-        moved = RigidMotion.of(parameters, self.centre).points(self.points)
-        return signed_distance(self.obstacles, moved) - self.radii
+    def looked_at(self, which: Int[Array, "R"]) -> "Problem":
+        """Some of its points alone."""
+        return replace(self, points=self.points[which], radii=self.radii[which], some=None)
+
+    @property
+    def coordinates(self) -> list[Float[Array, "Q"]]:
+        """Of its points, apart: on a CPU what is computed of them then takes half the time."""
+        return [self.points[:, axis] for axis in range(3)]
+
+    def distances(self, coordinates: Sequence[Float[Array, "Q"]]) -> Float[Array, "Q"]:
+        """Of its points' surfaces, when they are there, to the nearest obstacle, m."""
+        return signed_distance_at(self.obstacles, *coordinates) - self.radii
 
 
 class Projected(NamedTuple):
@@ -109,17 +119,37 @@ def objective(
     config: ProjectionConfig,
     validity: Term = any_transform,
     robot: Term = free_hands,
+    *,
+    everywhere: bool = True,
 ) -> Callable[[Float[Array, "6"]], tuple[Terms, Float[Array, "5"]]]:
-    """The function of the transform that gives all terms, and by how much each of the five checks fails."""
-    before = problem.distances(jnp.zeros_like(problem.low))
-    bands, nearest = Bands.of(before, config.skin), jnp.argmin(before)
+    """The function of the transform that gives all terms, and by how much each of the five checks fails.
+
+    Of all points, or not ``everywhere`` but at `Problem.some` and the one nearest to an obstacle.
+    """
+    centre, before = problem.centre, problem.distances(problem.coordinates)
+    nearest = jnp.argmin(before)
+    if problem.some is not None and not everywhere:
+        problem = problem.looked_at(jnp.append(problem.some, nearest))
+        before, nearest = problem.distances(problem.coordinates), len(problem.points) - 1
+    offsets = [along - axis for along, axis in zip(problem.coordinates, centre, strict=True)]
+    bands = Bands.of(before, config.skin)
     aim = bands.narrowed(config.skin / 4)
     slack = 0.9 * config.distance_tolerance
 
     def evaluate(parameters: Float[Array, "6"]) -> tuple[Terms, Float[Array, "5"]]:
-        moved = RigidMotion.of(parameters, problem.centre).points(problem.points)
-        after = signed_distance(problem.obstacles, moved) - problem.radii
-        out = box_excess(moved, problem.box_low, problem.box_high)
+        motion = RigidMotion.of(parameters, centre)
+        axes, origin = motion.vectors(jnp.eye(3, dtype=centre.dtype)), motion.points(centre)
+        moved = [
+            origin[axis] + sum(offset * turned[axis] for offset, turned in zip(offsets, axes, strict=True))
+            for axis in range(3)
+        ]
+        after = problem.distances(moved)
+        out = jnp.stack(
+            [
+                box_excess(along, low, high)
+                for along, low, high in zip(moved, problem.box_low, problem.box_high, strict=True)
+            ]
+        )
         change = jnp.abs(after[nearest] - before[nearest])
         terms = Terms(
             box=out.sum(),
@@ -164,7 +194,7 @@ def project(
         `Verdict.ACCEPTED`, or the first check that fails at the best transform of the last round, or
         `Verdict.NO_PROGRESS`. Within a round, the objective at its end is never above that at its beginning.
     """
-    evaluate = objective(problem, config, validity, robot)
+    evaluate = objective(problem, config, validity, robot, everywhere=False)
     free, scale = problem.high > problem.low, problem.scale
 
     def judged(parameters: Array) -> tuple[Array, _Judged]:
@@ -204,12 +234,13 @@ def project(
         done = over & (short | (carry.round + 1 >= config.rounds))
         rest = jnp.maximum(config.rounds - carry.round - 1, 1)
         onward = best + (target - best) / rest
+        ends = (over & best_valid & (jnp.arange(config.rounds) == carry.round))[:, None]
         return _Carry(
             at=jnp.where(over, onward, down),
             before=jnp.where(over, best, carry.before),
-            kept=jnp.where(over & best_valid, best, carry.kept),
-            kept_low=jnp.where(over & best_valid, low, carry.kept_low),
-            any_kept=carry.any_kept | (over & best_valid),
+            kept=jnp.where(ends, best, carry.kept),
+            kept_low=jnp.where(ends[:, 0], low, carry.kept_low),
+            is_kept=carry.is_kept | ends[:, 0],
             best=best,
             best_valid=best_valid & ~over,
             low=low,
@@ -225,9 +256,9 @@ def project(
     begin = _Carry(
         at=target / config.rounds,
         before=zero,
-        kept=zero,
-        kept_low=nothing,
-        any_kept=jnp.array(False),
+        kept=jnp.zeros((config.rounds, 6), target.dtype),
+        kept_low=jnp.zeros(config.rounds, target.dtype),
+        is_kept=jnp.zeros(config.rounds, bool),
         best=zero,
         best_valid=jnp.array(False),
         low=nothing,
@@ -239,26 +270,37 @@ def project(
         done=~usable,
     )
     end = jax.lax.while_loop(lambda carry: ~carry.done, proceed, begin)
-    parameters = jnp.where(end.any_kept, end.kept, end.best)
+    excess, sound = end.excess, end.is_kept
+    if problem.some is not None:
+        fails = jax.vmap(objective(problem, config, validity, robot))(end.kept)[1]
+        latest = _last(end.is_kept)
+        excess = jnp.where(end.is_kept.any(), fails[latest], end.excess)
+        sound &= (fails == 0).all(1)
+    latest, any_sound = _last(sound), sound.any()
+    kept = jnp.where(any_sound, end.kept[latest], 0.0)
     checks = jnp.array([Verdict.BOX, Verdict.INVALID, Verdict.OCCUPANCY, Verdict.DISTANCE, Verdict.ROBOT])
-    failed = checks[jnp.argmax(end.excess > 0)]
-    moved = size(end.kept) >= config.least_motion
-    accepted = end.any_kept & moved
-    still = jnp.where((end.excess > 0).any(), failed, int(Verdict.NO_PROGRESS))
+    failed = checks[jnp.argmax(excess > 0)]
+    accepted = any_sound & (size(kept) >= config.least_motion)
+    still = jnp.where((excess > 0).any(), failed, int(Verdict.NO_PROGRESS))
     return Projected(
-        parameters=parameters,
+        parameters=jnp.where(any_sound, kept, end.best),
         verdict=jnp.where(accepted, int(Verdict.ACCEPTED), still),
-        objective=jnp.where(end.any_kept, end.kept_low, end.low),
+        objective=jnp.where(any_sound, end.kept_low[latest], end.low),
         iterations=end.iterations,
     )
+
+
+def _last(which: Bool[Array, "N"]) -> Int[Array, ""]:
+    """The last index that is true; the last of all where none is."""
+    return len(which) - 1 - jnp.argmax(which[::-1])
 
 
 class _Carry(NamedTuple):
     at: Float[Array, "6"]
     before: Float[Array, "6"]  # where the last round ended
-    kept: Float[Array, "6"]  # the last valid end of a round
-    kept_low: Float[Array, ""]
-    any_kept: Bool[Array, ""]
+    kept: Float[Array, "rounds 6"]  # where each round ended
+    kept_low: Float[Array, "rounds"]
+    is_kept: Bool[Array, "rounds"]  # which ended validly
     best: Float[Array, "6"]  # of this round
     best_valid: Bool[Array, ""]
     low: Float[Array, ""]

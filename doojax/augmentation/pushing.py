@@ -15,6 +15,7 @@ from doojax.tasks.base import Task
 from doojax.tasks.starts import moved_state
 from doojax.types import Obstacles, PushingState, ShapeKind
 
+EVERY = 3  # of a trajectory's states, the descent looks at one in so many
 UPRIGHT = 10.0  # m, half the height of what stays: the way out of it is sideways
 
 
@@ -62,8 +63,13 @@ class PushingSetting(Setting):
         )
         every = jnp.concatenate([points, hand], axis=1)
         way = jnp.sqrt(((hand - hand[:1]) ** 2).sum(-1).max())
+        numbers = np.arange(every.shape[0] * every.shape[1]).reshape(every.shape[:2])
         return Movable(
-            every.reshape(-1, 3), jnp.tile(jnp.append(radii, self.radii[-1]), len(every)), stays, way
+            points=every.reshape(-1, 3),
+            radii=jnp.tile(jnp.append(radii, self.radii[-1]), len(every)),
+            stays=stays,
+            way=way,
+            some=numbers[::EVERY].reshape(-1) if len(every) > EVERY else None,
         )
 
     def moved(self, states: PushingState, motion: RigidMotion) -> PushingState:

@@ -6,10 +6,14 @@ of the nearest obstacle.
 """
 
 import math
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Float, Int, Shaped
 
 from doojax.geometry.shapes import (
@@ -43,7 +47,21 @@ def signed_distance(obstacles: Obstacles, points: Float[Array, "*p 3"]) -> Float
     require_one_set(obstacles)
     if obstacles.kind.shape == (0,):
         return jnp.full(points.shape[:-1], FAR, points.dtype)
-    return least_distance(obstacles, points)
+    return least_distance(obstacles, *(points[..., axis] for axis in range(3)))
+
+
+def signed_distance_at(
+    obstacles: Obstacles, x: Float[Array, "*p"], y: Float[Array, "*p"], z: Float[Array, "*p"]
+) -> Float[Array, "*p"]:
+    """`signed_distance` of points whose coordinates (m) are apart: on a CPU its gradient takes half the time.
+
+    Raises:
+        ValueError: if the obstacles carry batch axes.
+    """
+    require_one_set(obstacles)
+    if obstacles.kind.shape == (0,):
+        return jnp.full(jnp.shape(x), FAR, jnp.result_type(x))
+    return least_distance(obstacles, x, y, z)
 
 
 def signed_distances(obstacles: Obstacles, points: Float[Array, "*p 3"]) -> Float[Array, "*p M"]:
@@ -118,32 +136,54 @@ def _nearest_with_gradient(obstacles: Obstacles, *point: Float[Array, "*p"]) -> 
         return distance_and_gradient(numbers_of(obstacles).at(nearest), *point)
 
     def in_turn(obstacles: Obstacles, *point: Array) -> tuple[Array, ...]:
-        flat = [_padded(coordinate) for coordinate in point]
-        distance, nearest = _nearest_in_turn(obstacles, *flat)
-        # Were they gathered within the loops that use them, these would be scalar code.
-        theirs = jax.lax.optimization_barrier(numbers_of(obstacles).at(nearest))
-        gradient = distance_and_gradient(theirs, *flat)[1:]
-        return tuple(_unpadded(one, point[0].shape) for one in (distance, *gradient))
+        # The gradient to every obstacle costs less than to gather the numbers of those that are nearest.
+        numbers, flat = numbers_of(obstacles), [_padded(coordinate) for coordinate in point]
+
+        def closer(index: Array, best: tuple[Array, ...]) -> tuple[Array, ...]:
+            found = distance_and_gradient(numbers.at(index), *flat)
+            nearer = _nearer(found[0], best[0])
+            return tuple(jnp.where(nearer, new, old) for new, old in zip(found, best, strict=True))
+
+        first = distance_and_gradient(numbers.at(jnp.array(0)), *flat)
+        best = jax.lax.fori_loop(1, obstacles.kind.shape[0], closer, first)
+        return tuple(_unpadded(one, point[0].shape) for one in best)
 
     return jax.lax.platform_dependent(obstacles, *point, cpu=in_turn, default=at_once)
 
 
 @jax.custom_jvp
-def least_distance(obstacles: Obstacles, points: Float[Array, "*p 3"]) -> Float[Array, "*p"]:
-    """`signed_distance` to at least one obstacle."""
-    return _nearest(obstacles, points)[0]
+def least_distance(
+    obstacles: Obstacles, x: Float[Array, "*p"], y: Float[Array, "*p"], z: Float[Array, "*p"]
+) -> Float[Array, "*p"]:
+    """`signed_distance_at` with at least one obstacle."""
+    return _nearest(obstacles, jnp.stack([x, y, z], axis=-1))[0]
 
 
-@least_distance.defjvp
+@partial(least_distance.defjvp, symbolic_zeros=True)
 def _least_distance_jvp(primals, tangents):
     # Only the nearest obstacle moves the minimum: differentiating it alone is several times faster than
     # differentiating all of them, and leaves no average of gradients where two are equally near.
-    nearest = _nearest(*primals)[1]
+    obstacles, *point = primals
+    if all(isinstance(leaf, SymbolicZero) for leaf in jax.tree.leaves(tangents[0])):  # they do not move
+        distance, *slopes = _nearest_with_gradient(obstacles, *point)
+        moves = zip(slopes, tangents[1:], strict=True)
+        parts = [slope * way for slope, way in moves if not isinstance(way, SymbolicZero)]
+        return distance, sum(parts, start=jnp.zeros_like(distance))
+    nearest = _nearest(obstacles, jnp.stack(point, axis=-1))[1]
 
-    def distance(obstacles: Obstacles, points: Array) -> Array:
-        return paired_distances(jax.tree.map(lambda field: field[nearest], obstacles), points)
+    def of_nearest(obstacles: Obstacles, *point: Array) -> Array:
+        return paired_distances(
+            jax.tree.map(lambda field: field[nearest], obstacles), jnp.stack(point, axis=-1)
+        )
 
-    return jax.jvp(distance, primals, tangents)
+    return jax.jvp(of_nearest, primals, jax.tree.map(_instantiated, primals, tangents))
+
+
+def _instantiated(primal: Array, tangent: Any) -> Any:
+    if not isinstance(tangent, SymbolicZero):
+        return tangent
+    inexact = jnp.issubdtype(primal.dtype, jnp.inexact)
+    return jnp.zeros_like(primal) if inexact else np.zeros(primal.shape, jax.dtypes.float0)
 
 
 @jax.jit
@@ -173,11 +213,15 @@ def _nearest_in_turn(obstacles: Obstacles, *point: Float[Array, "p"]) -> tuple[A
 
     def closer(index, best):
         distance = distance_to(index)
-        nearer = (distance < best[0]) | (jnp.isnan(distance) & ~jnp.isnan(best[0]))
+        nearer = _nearer(distance, best[0])
         return jnp.where(nearer, distance, best[0]), jnp.where(nearer, index, best[1])
 
     farthest = jnp.full_like(distance_to(jnp.array(0)), jnp.inf)
     return jax.lax.fori_loop(0, obstacles.kind.shape[0], closer, (farthest, jnp.zeros_like(farthest, int)))
+
+
+def _nearer(distance: Array, best: Array) -> Array:
+    return (distance < best) | (jnp.isnan(distance) & ~jnp.isnan(best))
 
 
 def _padded(values: Float[Array, "*p"]) -> Float[Array, "q"]:

@@ -7,7 +7,7 @@ from jax.lax import stop_gradient
 from jaxtyping import Bool, Float, Int
 
 from doojax.geometry.frames import safe_norm
-from doojax.geometry.sdf import least_distance
+from doojax.geometry.sdf import signed_distance
 from doojax.geometry.shapes import (
     FAR,
     Numbers,
@@ -43,7 +43,7 @@ def segment_signed_distance(
     if obstacles.kind.shape == (0,):
         return jnp.full(start.shape[:-1], FAR, start.dtype)
     fraction = _closest_fraction(*stop_gradient((obstacles, start, end)))
-    return least_distance(obstacles, start + fraction[..., None] * (end - start))
+    return signed_distance(obstacles, start + fraction[..., None] * (end - start))
 
 
 def segment_is_far(

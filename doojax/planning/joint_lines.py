@@ -104,8 +104,9 @@ def walked[W: Walk](
     go_on: Callable[[W, Outcome, Int[Array, ""]], W],
     lanes: int,
     at_once: int,
+    least: int = 0,
 ) -> W:
-    """Q walks, to their ends; ``lanes`` of them go at once, ``at_once`` places a round, others wait.
+    """Q walks, until at most ``least`` go on; ``lanes`` go at once, ``at_once`` places a round, others wait.
 
     ``go_on(walk, outcome, number)`` is one walk after a round; it is called for one that ended too, and must
     then leave it as it is.
@@ -131,7 +132,7 @@ def walked[W: Walk](
         after, _ = jax.lax.fori_loop(0, ROUNDS, a_round, (own, jnp.minimum(lane, total - 1)))
         return jax.tree.map(lambda all_, some: all_.at[lane].set(some, mode="drop"), walks, after)
 
-    return jax.lax.while_loop(lambda walks: walks.going.any(), advance, walks)
+    return jax.lax.while_loop(lambda walks: walks.going.sum() > least, advance, walks)
 
 
 @lru_cache(maxsize=1)

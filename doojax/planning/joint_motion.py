@@ -179,7 +179,8 @@ def plan_motions(
     def shorten(own: JointPath, outcome: Outcome, number: Array) -> JointPath:
         return shortened(own, outcome, settings.step, keys[number])
 
-    searches = walked(jax.vmap(begin)(queries, keys), free, search, lanes, at_once)
+    searches = walked(jax.vmap(begin)(queries, keys), free, search, lanes, at_once, least=1)
+    searches = walked(searches, free, search, 1, at_once)  # hopeless, perhaps: idle lanes would cost as much
     ways = jax.vmap(
         lambda own, key: way(own, settings.waypoints, settings.shortcuts, settings.margin, settings.step, key)
     )(searches, keys)

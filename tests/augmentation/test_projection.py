@@ -61,6 +61,18 @@ def test_the_post_is_in_the_way():
     assert found.parameters[0, 0] <= 0.25 - 0.01 - 0.0009
 
 
+def test_what_the_descent_does_not_look_at_is_checked_at_the_end():
+    """Of the rope only one end, away from the post: of five rounds along x the last one ends in the post."""
+    problem = replace(lying_rope(), some=jnp.array([0]))
+    target = jnp.array([0.249, 0.0, 0.0, 0.0, 0.0, 0.0])
+    found = jax.jit(lambda target: project(problem, target, jnp.array(True)))(target)
+    assert found.verdict == Verdict.ACCEPTED
+    assert found.parameters[0] == pytest.approx(0.8 * 0.249, abs=1e-6)
+    assert not objective(problem, ProjectionConfig())(found.parameters)[1].any()
+    alone = jax.jit(lambda target: project(problem, target, jnp.array(True), ONE_ROUND))(target)
+    assert alone.verdict == Verdict.OCCUPANCY
+
+
 def test_nothing_to_do_is_no_progress():
     found, _, _ = projected(np.zeros(6))
     assert found.verdict[0] == Verdict.NO_PROGRESS

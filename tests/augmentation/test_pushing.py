@@ -43,7 +43,8 @@ def examples(count: int) -> Examples:
 def test_what_moves_and_what_stays():
     one = pushed()
     assert SETTING.moving(one).tolist() == [True] + [False] * 8
-    points, radii, stays, way = SETTING.movable(one, None)
+    points, radii, stays, way, some = SETTING.movable(one, None)
+    assert some is not None and len(some) < len(points) and some[0] == 0  # what the descent looks at
     assert stays.active.tolist() == [False] + [True] * 8
     assert float(way) == pytest.approx(0.009, abs=1e-6) and set(np.asarray(radii).tolist()) == {
         float(radii[0])
