@@ -1,6 +1,7 @@
 import inspect
 import math
 import operator
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -290,3 +291,22 @@ def test_new_poses_sizes_and_masks_compile_nothing_new():
     for seed in range(4):
         obstacles = random_obstacles(np.random.default_rng(seed))
         once(eqx.tree_at(lambda o: o.active, obstacles, jnp.arange(9) > seed), points + seed)
+
+
+@properties
+@given(seed=seeds)
+def test_an_obstacle_that_moves_counts_as_a_point_that_moves_the_other_way(seed):
+    """By automatic differentiation of the distance; the points' gradient alone is the written one."""
+    rng = np.random.default_rng(seed)
+    obstacles, points = random_obstacles(rng), jnp.asarray(rng.uniform(-0.5, 0.5, (COUNT, 3)), jnp.float32)
+    by_centre, by_point = moving(obstacles.centre, points, obstacles)
+    np.testing.assert_allclose(by_centre.sum(1), -by_point, atol=2e-5)
+    np.testing.assert_allclose(by_point, derived(obstacles, points), atol=2e-5)
+
+
+@jax.jit
+def moving(centre, points, obstacles):
+    def one(centre, point):
+        return signed_distance(replace(obstacles, centre=centre), point)
+
+    return jax.vmap(jax.grad(one, (0, 1)), (None, 0))(centre, points)
