@@ -20,7 +20,7 @@ SMALLER = {  # what makes a page's Python cheap enough to run here; nothing else
     "README.md": (("128", "2"), ('engine="mjx"', 'engine="mujoco"')),
     "planning.md": (("extensions=4096", "extensions=256"),),
 }
-LONG = {"environments.md", "robots.md"}  # compile for half a minute
+LONG = {"environments.md", "robots.md", "planning.md", "own_things.md"}  # compile for ten seconds and more
 PAGES = [
     pytest.param(path, marks=pytest.mark.slow if path.name in LONG else (), id=path.name)
     for path in DOCUMENTS

@@ -77,7 +77,7 @@ def _round(
         tried += int(going.sum())
         going &= fine
         accepted += int(going.sum())
-        steps.append((after, score, distance, np.asarray(spread)))
+        steps.append((jax.tree.map(np.asarray, after), score, distance, np.asarray(spread)))
         for lane in np.flatnonzero(going & there):
             reached = (int(leave[lane]) + step + 1, float(distance[lane]), int(lane), step + 1)
             best = reached if best is None else min(best, reached)
@@ -119,20 +119,24 @@ def _grafted(
     lane: int,
     steps: list[tuple[State, np.ndarray, np.ndarray, np.ndarray]],
 ) -> tuple[Tree, Plan]:
-    """The tree with the steps of one lane behind the plan's node number ``leave``."""
+    """The tree with the steps of one lane behind the plan's node number ``leave``.
+
+    On the host: JAX would compile its operations anew for each number of steps.
+    """
     used, count = int(tree.used), len(actions)
     fresh = np.arange(used, used + count)
     added = Tree(
         state=jax.tree.map(
-            lambda *leaves: jnp.stack([leaf[lane] for leaf in leaves]), *(step[0] for step in steps)
+            lambda *leaves: jnp.asarray(np.stack([leaf[lane] for leaf in leaves])),
+            *(step[0] for step in steps),
         ),
         action=jnp.asarray(actions),
-        parent=jnp.asarray([plan.nodes[leave], *fresh[:-1]], dtype=jnp.int32),
-        accepted=jnp.ones(count, dtype=bool),
-        score=jnp.asarray([score[lane] for _, score, _, _ in steps]),
-        goal_distance=jnp.asarray([distance[lane] for _, _, distance, _ in steps]),
-        spread=jnp.asarray([spread[lane] for *_, spread in steps]),
-        reached=jnp.arange(count) == count - 1,
+        parent=jnp.asarray(np.array([plan.nodes[leave], *fresh[:-1]], dtype=np.int32)),
+        accepted=jnp.asarray(np.ones(count, dtype=bool)),
+        score=jnp.asarray(np.array([score[lane] for _, score, _, _ in steps])),
+        goal_distance=jnp.asarray(np.array([distance[lane] for _, _, distance, _ in steps])),
+        spread=jnp.asarray(np.array([spread[lane] for *_, spread in steps])),
+        reached=jnp.asarray(np.arange(count) == count - 1),
         used=jnp.asarray(used + count, dtype=jnp.int32),
         solved=jnp.asarray(tree.solved),
         stuck=jnp.asarray(tree.stuck),

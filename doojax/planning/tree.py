@@ -16,6 +16,9 @@ from doojax.types import Obstacles, State
 Status = Literal["solved", "exhausted", "stuck"]
 
 
+_distances = jax.jit(jax.vmap(signed_distance))
+
+
 class Problem(eqx.Module):
     """From where to where among what; the first axis of every leaf counts problems in a batch."""
 
@@ -81,7 +84,7 @@ def require_reachable(task: Task, obstacles: Obstacles, goals: Goal) -> None:
     """
     targets, tolerance = np.asarray(goals.targets), np.asarray(goals.tolerance)
     inside = np.asarray(task.workspace.contains(goals.targets))
-    depth = -np.asarray(jax.jit(jax.vmap(signed_distance))(obstacles, goals.targets))
+    depth = -np.asarray(_distances(obstacles, goals.targets))
     reach = np.asarray(task.reach())
     for goal, bodies in enumerate(np.asarray(goals.bodies)):
         for one, target in enumerate(targets[goal]):

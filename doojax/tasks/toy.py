@@ -101,6 +101,7 @@ class ToySimulator(Jittable):
         positions = state.qpos.reshape(-1, 3)
         return RopeState(points=positions[:LINKS], grippers=positions[LINKS:])
 
+    @eqx.filter_jit
     def observations(self, states: SimState) -> Observation:
         """A batch of what `observe` gives."""
         return jax.vmap(self._observation)(states)

@@ -51,26 +51,34 @@ def test_killed_and_resumed_collections_have_the_bytes_of_an_uninterrupted_one(t
     assert digest(broken) == digest(whole)
 
 
-def test_a_stored_trajectory_replays_bit_for_bit(tmp_path, capsys):
-    collect("rope_dragging", trajectories=3, states=4, out=tmp_path / "data")
-    capsys.readouterr()
-    replay(tmp_path / "data", trajectory=2)
+FEW = 6  # toy trajectories: as many as the last shard of 70 has, so that one program simulates both
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory) -> Path:
+    """A collection of dragging."""
+    folder = tmp_path_factory.mktemp("dragging") / "three"
+    collect("rope_dragging", trajectories=3, states=3, engine="mujoco", out=folder)
+    return folder
+
+
+def test_a_stored_trajectory_replays_bit_for_bit(three, capsys):
+    replay(three, trajectory=2)
     assert "the replay equals what was stored, bit for bit" in capsys.readouterr().out
     with pytest.raises(ValueError, match=r"there is no trajectory 3: .* holds 0 to 2"):
-        replay(tmp_path / "data", trajectory=3)
+        replay(three, trajectory=3)
 
 
 def test_a_longer_collection_begins_with_the_same_trajectories(tmp_path):
-    collect("toy", trajectories=5, states=3, out=tmp_path / "five")
+    collect("toy", trajectories=FEW, states=3, out=tmp_path / "few")
     collect("toy", trajectories=70, states=3, out=tmp_path / "seventy")
-    few, many = Dataset.open(tmp_path / "five"), Dataset.open(tmp_path / "seventy")
-    np.testing.assert_allclose(few["points"][:], many["points"][:5], atol=1e-6)
+    few, many = Dataset.open(tmp_path / "few"), Dataset.open(tmp_path / "seventy")
+    np.testing.assert_allclose(few["points"][:], many["points"][:FEW], atol=1e-6)
 
 
-def test_a_trajectory_does_not_know_what_is_simulated_beside_it(tmp_path):
-    collect("rope_dragging", trajectories=3, states=3, out=tmp_path / "three")
-    collect("rope_dragging", trajectories=66, states=3, out=tmp_path / "more")
-    few, many = Dataset.open(tmp_path / "three"), Dataset.open(tmp_path / "more")
+def test_a_trajectory_does_not_know_what_is_simulated_beside_it(three, tmp_path):
+    collect("rope_dragging", trajectories=66, states=3, engine="mujoco", out=tmp_path / "more")
+    few, many = Dataset.open(three), Dataset.open(tmp_path / "more")
     for name in few.fields:
         assert np.array_equal(few[name][:], many[name][:3]), name
 
@@ -78,7 +86,7 @@ def test_a_trajectory_does_not_know_what_is_simulated_beside_it(tmp_path):
 def test_failures_are_saved_and_replayed(tmp_path, capsys):
     task = make_task("rope_dragging", phase="unconstrained")
     simulator = task.simulator("mujoco")
-    starts = jax.vmap(simulator.reset)(jax.random.split(jax.random.key(0), 3))
+    starts = jax.jit(jax.vmap(simulator.reset))(jax.random.split(jax.random.key(0), 3))
     starts = eqx.tree_at(lambda s: s.qvel, starts, starts.qvel.at[1, 0].set(jnp.inf))
     actions = jnp.full((3, 2, 1, 3), 0.01)
     _, seen = simulator.rollout(starts, actions)
@@ -116,22 +124,22 @@ def test_bad_requests_are_refused(tmp_path):
 
 
 def test_another_collections_folder_is_refused(tmp_path):
-    collect("toy", trajectories=2, states=3, out=tmp_path / "data")
+    collect("toy", trajectories=FEW, states=3, out=tmp_path / "data")
     with pytest.raises(ValueError, match="seed"):
-        collect("toy", trajectories=2, states=3, seed=1, out=tmp_path / "data")
+        collect("toy", trajectories=FEW, states=3, seed=1, out=tmp_path / "data")
     assert replace(Dataset.open(tmp_path / "data").manifest).config["seed"] == 0
 
 
 def test_data_of_another_scene_are_told(tmp_path, capsys):
     scene = make_task("toy").scene
     assert scene.digest == make_task("toy").scene.digest != replace(scene, timestep=0.001).digest
-    collect("toy", trajectories=2, states=3, out=tmp_path / "data")
+    collect("toy", trajectories=FEW, states=3, out=tmp_path / "data")
     manifest = tmp_path / "data" / "manifest.json"
     manifest.write_text(manifest.read_text().replace(scene.digest, "0123456789abcdef"))
     replay(tmp_path / "data")
     assert "the scene of toy has changed since these were collected" in capsys.readouterr().out
     with pytest.raises(ValueError, match=r"config.scene: .*0123456789abcdef"):
-        collect("toy", trajectories=2, states=3, out=tmp_path / "data")
+        collect("toy", trajectories=FEW, states=3, out=tmp_path / "data")
     manifest.write_text(re.sub(r'"scene": "0123456789abcdef",', "", manifest.read_text()))
     replay(tmp_path / "data")
     assert "of which scene of toy these are is not recorded" in capsys.readouterr().out

@@ -43,11 +43,13 @@ def learned(sets):
     return models, np.array(losses)
 
 
+@pytest.mark.slow  # the bound itself is in tests/models/test_vae.py
 def test_the_bound_rises(learned):
     _, losses = learned
     assert (losses[-1] < losses[0] - 5).all()
 
 
+@pytest.mark.slow
 def test_each_varies_what_it_learned_from(learned, sets):
     models, _ = learned
     for number, own in enumerate(sets):

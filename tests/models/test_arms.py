@@ -2,19 +2,19 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from doojax.models.arms import ArmsFeasible
-from doojax.robots import clearance, dual_arm, tool_poses
+from doojax.robots import clearance, read_robot, tool_poses
 from doojax.types import Obstacles, RopeState, Transition
+from tests.robots.small_arms import SMALL, STARTS
 
-ROBOT = dual_arm()
-MOVING = tuple(i for i, name in enumerate(ROBOT.joints) if "finger" not in name)
-ELBOWS = [ROBOT.joints.index(f"{side}_elbow") for side in ("left", "right")]
-STARTS = jnp.zeros((2, 20)).at[1, jnp.array(ELBOWS)].set(-1.0)
-BASE, YAW = (0.3, -0.2, 0.445), -np.pi / 2  # its front is to the world's +x
-JUDGE = ArmsFeasible(ROBOT, STARTS, BASE, YAW, MOVING, margin=0.002)
+ROBOT = read_robot(mujoco.MjModel.from_xml_string(SMALL))
+BASE, YAW = (0.3, -0.2, 0.9), -np.pi / 2  # its front is to the world's -y
+JUDGE = ArmsFeasible(ROBOT, STARTS, BASE, YAW, tuple(range(6)), margin=0.002)
+BATCH = 6
 
 
 def world(places):
@@ -23,24 +23,16 @@ def world(places):
     return np.stack([y, -x, z], -1) + BASE
 
 
-def postures(count: int) -> np.ndarray:
-    random = np.random.default_rng(0).uniform(-0.3, 0.3, (count, 20)).astype(np.float32)
-    random[:, [i for i in range(20) if i not in MOVING]] = 0
-    random[:, ELBOWS] -= 0.5
-    random[:, [ROBOT.joints.index(f"{side}_shoulder_2") for side in ("left", "right")]] += (
-        0.3,
-        -0.3,
-    )  # outwards
-    return random
-
-
-def boxes(centre, active=True) -> Obstacles:
+def boxes(*centres) -> Obstacles:
+    """A box for each of a batch, and for those that are left none."""
+    places = np.zeros((BATCH, 1, 3), np.float32)
+    places[: len(centres), 0] = np.reshape(centres, (-1, 3))
     return Obstacles(
-        jnp.zeros(1, int),
-        jnp.asarray(centre, jnp.float32)[None],
-        jnp.array([[1.0, 0, 0, 0]]),
-        jnp.full((1, 3), 0.1),
-        jnp.array([active]),
+        jnp.zeros((BATCH, 1), int),
+        jnp.asarray(places),
+        jnp.tile(jnp.array([1.0, 0, 0, 0]), (BATCH, 1, 1)),
+        jnp.full((BATCH, 1, 3), 0.1),
+        jnp.arange(BATCH)[:, None] < len(centres),
     )
 
 
@@ -51,22 +43,25 @@ def judged(hands, obstacles):
     return JUDGE(obstacles, Transition(state, hands, state, jnp.zeros(())))
 
 
-def many(hands, obstacles):
-    hands = jnp.asarray(hands, jnp.float32)
-    return judged(hands, jax.tree.map(lambda leaf: jnp.stack([leaf] * len(hands)), obstacles))
+@jax.jit
+@jax.vmap
+def seen(joints):
+    return tool_poses(ROBOT, joints)[0], clearance(ROBOT, joints, ROBOT.base, -BASE[2])
 
 
 def test_hands_where_arms_are_free_are_accepted_and_elsewhere_impossible():
-    joints = postures(12)
-    free = np.asarray(jax.jit(jax.vmap(lambda q: clearance(ROBOT, q, ROBOT.base, -BASE[2])))(joints)) > 0.004
-    assert free.sum() > 5
-    hands = world(jax.jit(jax.vmap(lambda q: tool_poses(ROBOT, q)[0]))(joints))[free][:6]
-    nothing = many(hands, boxes(np.zeros(3), active=False))
+    random = np.random.default_rng(0)
+    joints = np.asarray(STARTS)[random.integers(0, 2, 12)] + random.uniform(-0.3, 0.3, (12, 6))
+    joints[:, [2, 5]] = np.abs(joints[:, [2, 5]])  # elbows bend one way
+    places, distance = map(np.asarray, seen(jnp.asarray(joints, jnp.float32)))
+    hands = world(places[distance > 0.004])[:BATCH].astype(np.float32)
+    assert len(hands) == BATCH
+    nothing = judged(hands, boxes())
     assert nothing.accepted.mean() > 0.6 and (np.asarray(nothing.score) > -5e-3).mean() > 0.8
     np.testing.assert_array_equal(nothing.accepted, nothing.possible)
-    far = many(hands + np.array([3.0, 0, 0]), boxes(np.zeros(3), active=False))
+    far = judged(hands + np.array([3.0, 0, 0], np.float32), boxes())
     assert not far.accepted.any() and not far.possible.any()
     assert np.asarray(far.score) == pytest.approx(-2.5, abs=1.0)
-    # a box around one of the hands
-    for number in range(2):
-        assert not bool(many(hands[number : number + 1], boxes(hands[number, 1])).accepted[0])
+    around_a_hand = judged(hands, boxes(*hands[:3, 1]))
+    assert np.asarray(nothing.accepted)[:3].any() and not around_a_hand.accepted[:3].any()
+    np.testing.assert_array_equal(around_a_hand.accepted[3:], nothing.accepted[3:])

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from doojax.models import Always, CollisionChecker, Conjunction, Reliability, Stricter
 from doojax.models.protocols import above
 from doojax.types import Obstacles, RopeState, Transition
+from tests.calls import called
 
 
 def wall(half_thickness=0.01, active=True):
@@ -29,7 +30,7 @@ def rope(*xs):
 
 def judge(reliability, next_state, obstacles=None):
     step = Transition(rope(-0.3, -0.2), jnp.zeros((1, 3)), next_state, jnp.zeros(()))
-    return reliability(wall() if obstacles is None else obstacles, step)
+    return called(reliability, wall() if obstacles is None else obstacles, step)
 
 
 def test_always_accepts_whatever_is_predicted():
@@ -76,23 +77,23 @@ def step(before, after):
 def test_a_motion_that_cuts_a_corner_with_both_ends_clear_is_noticed():
     # across a post: before and after it every link is 8 cm from its middle, so 6 cm from its face
     across = step(moved((0.0, 0.05), -0.08), moved((0.0, 0.05), 0.08))
-    score = CollisionChecker()(post(0.0, 0.0), across).score
+    score = called(CollisionChecker(), post(0.0, 0.0), across).score
     assert score == pytest.approx(-0.02, abs=1e-5)  # the first point goes through the middle
-    assert CollisionChecker(points_only=True)(post(0.0, 0.0), across).score == pytest.approx(0.06)
+    assert called(CollisionChecker(points_only=True), post(0.0, 0.0), across).score == pytest.approx(0.06)
 
 
 def test_the_gripper_is_looked_at_too():
     # the post stands where only the gripper passes, and then where only the gripper ends
     before = moved((0.0, 0.05), -0.08)
     for y in (0.08, 0.01):
-        found = CollisionChecker()(post(0.11, 0.0), step(before, moved((0.0, 0.05), y)))
+        found = called(CollisionChecker(), post(0.11, 0.0), step(before, moved((0.0, 0.05), y)))
         assert -0.02 <= found.score < -0.005 and not found.possible
 
 
 def test_a_rope_that_touches_something_may_leave_it_but_not_go_on():
     checker, touching = CollisionChecker(), moved((0.0, 0.05), -0.03)  # 1 cm from the post's face
     for y, allowed in ((-0.06, True), (-0.025, False)):
-        found = checker(post(0.0, 0.0), step(touching, moved((0.0, 0.05), y)))
+        found = called(checker, post(0.0, 0.0), step(touching, moved((0.0, 0.05), y)))
         assert bool(found.accepted) == allowed
 
 
@@ -114,9 +115,11 @@ def test_what_is_no_rope_has_no_links_between_its_bodies_but_ways():
     checker = CollisionChecker()
     before = jnp.array([[0.0, -0.1, 0.0], [0.0, 0.1, 0.0]])  # on both sides of the post
     aside = Bodies(before + jnp.array([-0.1, 0.0, 0.0]))
-    assert checker(post(0.0, 0.0), step(Bodies(before), aside)).score == pytest.approx(0.08 * 2**0.5)
+    assert called(checker, post(0.0, 0.0), step(Bodies(before), aside)).score == pytest.approx(0.08 * 2**0.5)
     changed = Bodies(before[::-1])  # each goes where the other was, through the middle
-    assert checker(post(0.0, 0.0), step(Bodies(before), changed)).score == pytest.approx(-0.02, abs=1e-5)
+    assert called(checker, post(0.0, 0.0), step(Bodies(before), changed)).score == pytest.approx(
+        -0.02, abs=1e-5
+    )
 
 
 class Said(eqx.Module):

@@ -13,6 +13,7 @@ from doojax.models import Reliability
 from doojax.models.classifier import ClassifierConfig
 from doojax.models.deviation import DeviationEstimator
 from doojax.types import Obstacles, RopeState, Transition
+from tests.calls import called
 
 CONFIG = ClassifierConfig(grippers=2, origin="centroid", width=4, layers=1, midpoints=False)
 OBSTACLES = Obstacles(
@@ -38,25 +39,25 @@ def model():
 
 
 def test_a_transition_is_accepted_where_its_bound_is_below_the_limit(model):
-    deviation = float(model.deviation(OBSTACLES, STEP))
+    deviation = float(called(model.deviation, OBSTACLES, STEP))
     assert isinstance(model, Reliability)
-    assert deviation == pytest.approx(float(model.uncalibrated(OBSTACLES, STEP)) + 1e-6, rel=1e-4)
+    assert deviation == pytest.approx(float(called(model.uncalibrated, OBSTACLES, STEP)) + 1e-6, rel=1e-4)
     for limit, factor, accepted in ((1.1, 1.0, True), (0.9, 1.0, False), (1.1, 2.0, False), (2.1, 2.0, True)):
-        found = model.limited(limit * deviation).bounded(factor)(OBSTACLES, STEP)
+        found = called(model.limited(limit * deviation).bounded(factor), OBSTACLES, STEP)
         assert bool(found.accepted) == accepted
         assert bool(found.possible)  # what is learned forbids nothing for good
         assert float(found.score) == pytest.approx(factor * deviation, rel=1e-5)
-    assert not bool(model.limited(1e3).bounded(np.inf)(OBSTACLES, STEP).accepted)
+    assert not bool(called(model.limited(1e3).bounded(np.inf), OBSTACLES, STEP).accepted)
 
 
 def test_a_calibrated_deviation_is_a_power_of_the_networks_own(model):
     changed = eqx.tree_at(lambda one: (one.power, one.shift), model, (jnp.asarray(1.5), jnp.log(2.0)))
-    raw = float(model.uncalibrated(OBSTACLES, STEP))
-    assert float(changed.deviation(OBSTACLES, STEP)) == pytest.approx(2 * raw**1.5, rel=1e-3)
+    raw = float(called(model.uncalibrated, OBSTACLES, STEP))
+    assert float(called(changed.deviation, OBSTACLES, STEP)) == pytest.approx(2 * raw**1.5, rel=1e-3)
 
 
 def test_training_moves_the_network_alone(model):
-    gradient = eqx.filter_grad(lambda one: one.uncalibrated(OBSTACLES, STEP))(model)
+    gradient = eqx.filter_jit(eqx.filter_grad(lambda one: one.uncalibrated(OBSTACLES, STEP)))(model)
     for name in ("scale", "power", "shift", "limit", "factor"):
         assert float(getattr(gradient, name)) == 0.0
     assert float(jnp.abs(gradient.network.embed.weight).max()) > 0
@@ -68,5 +69,5 @@ def test_it_survives_a_file(model, tmp_path):
     save_model(tmp_path / "model.eqx", header, kept)
     loaded, found = load_model(tmp_path, kind="deviation", task="dual_gripper")
     assert found == header
-    assert float(loaded(OBSTACLES, STEP).score) == float(kept(OBSTACLES, STEP).score)
+    assert called(loaded, OBSTACLES, STEP).score == called(kept, OBSTACLES, STEP).score
     assert float(loaded.limit) == pytest.approx(0.03)

@@ -18,6 +18,7 @@ from doojax.models import Dynamics
 from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
 from doojax.models.rolling import roll_out
 from doojax.types import RopeState
+from tests.calls import called
 
 from .voxel_examples import FLAT, box
 
@@ -57,6 +58,13 @@ def learned(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def fresh():
+    """A network that was scaled to data and not trained."""
+    model = FullDynamics(CONFIG, key=jax.random.key(0))
+    return called(model.scaled_to, *pushed(16, 2, 3).transitions())
+
+
+@pytest.fixture(scope="module")
 def errors_of():
     return eqx.filter_jit(lambda model, window: errors(model, window))
 
@@ -66,6 +74,7 @@ def step():
     return eqx.filter_jit(lambda model, *arguments: model(*arguments))
 
 
+@pytest.mark.slow  # all else is true of networks that were not trained
 def test_a_wall_stops_the_point_and_nothing_else_does(learned, step):
     model, run = learned
     assert run.metrics[-1]["validation_error_m"][0] < 0.006  # m; a guess blind to the wall errs by 0.02
@@ -81,8 +90,8 @@ def test_a_wall_stops_the_point_and_nothing_else_does(learned, step):
     assert uncertainty == 0
 
 
-def test_the_same_push_elsewhere_does_the_same(learned, step):
-    model, _ = learned
+def test_the_same_push_elsewhere_does_the_same(fresh, step):
+    model = fresh
     shift = jnp.array([0.5, -0.25, 0.125])
     start = RopeState(points=jnp.array([[0.03, 0.0, 0.02]]), grippers=jnp.array([[0.03, 0.0, 0.02]]))
     moved = jax.tree.map(lambda leaf: leaf + shift, start)
@@ -94,15 +103,15 @@ def test_the_same_push_elsewhere_does_the_same(learned, step):
     np.testing.assert_allclose(elsewhere.points - shift, here.points, atol=1e-4)
 
 
-def test_a_roll_out_repeats_single_steps_and_its_errors_are_theirs(learned, step, errors_of):
-    model, _ = learned
+def test_a_roll_out_repeats_single_steps_and_its_errors_are_theirs(fresh, step, errors_of):
+    model = fresh
     window = jax.tree.map(lambda leaf: leaf[0], pushed(2, 3, 5))
     first = jax.tree.map(lambda leaf: leaf[0], window.states)
     states, state = [first], first
     for action in window.actions:
         state, _ = step(model, window.obstacles, state, action)
         states.append(state)
-    rolled, _ = roll_out(model, window.obstacles, first, window.actions)
+    rolled, _ = called(roll_out, model, window.obstacles, first, window.actions)
     np.testing.assert_allclose(rolled.points, jnp.stack([s.points for s in states]), atol=1e-5)
     loss, error = errors_of(model, window)
     gap = np.asarray(rolled.points - window.states.points)[1:, 0]
@@ -111,19 +120,18 @@ def test_a_roll_out_repeats_single_steps_and_its_errors_are_theirs(learned, step
     assert float(loss) == pytest.approx((both**2).mean(), rel=1e-4)
 
 
-def test_a_fresh_network_scaled_to_data_starts_near_standing_still(errors_of):
-    data = pushed(16, 2, 3)
-    model = FullDynamics(CONFIG, key=jax.random.key(0)).scaled_to(*data.transitions())
-    assert isinstance(model, Dynamics)
-    assert model.input_scale.min() == pytest.approx(0.03)
-    window = jax.tree.map(lambda leaf: leaf[0], data)
-    _, error = errors_of(model, window)
+def test_a_fresh_network_scaled_to_data_starts_near_standing_still(fresh, errors_of):
+    assert isinstance(fresh, Dynamics)
+    assert fresh.input_scale.min() == pytest.approx(0.03)
+    window = jax.tree.map(lambda leaf: leaf[0], pushed(2, 3, 5))
+    _, error = errors_of(fresh, window)
     assert error.max() < 0.2
 
 
 def test_windows_hold_every_action_once_or_twice_and_what_led_to_it():
     short, long = pushed(4, 3, 0), pushed(3, 8, 1, first_row=100)
     cut = windows([short, long], 3)
+    short, long, cut = jax.tree.map(np.asarray, (short, long, cut))
     assert len(cut) == 4 + 3 * 3
     np.testing.assert_array_equal(cut.rows, [0, 1, 2, 3, *np.repeat([100, 101, 102], 3)])
     np.testing.assert_array_equal(cut.actions[:4], short.actions)
@@ -147,8 +155,8 @@ def test_windows_say_what_does_not_fit():
         windows([], 3)
 
 
-def test_it_survives_a_file(learned, errors_of, tmp_path):
-    model, _ = learned
+def test_it_survives_a_file(fresh, errors_of, tmp_path):
+    model = fresh
     header = Header("full_dynamics", "rope_dragging", asdict(model.config))
     save_model(tmp_path / "model.eqx", header, model)
     loaded, _ = load_model(tmp_path, kind="full_dynamics")

@@ -41,7 +41,7 @@ angles = st.floats(-3.14, 3.14)
 wall = st.fixed_dictionaries({"centre": place, "half": sizes, "yaw": angles, "active": st.booleans()})
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     start=place,
     angle=angles,
@@ -193,9 +193,32 @@ def test_predictions_that_are_not_finite_never_enter_the_tree():
     assert np.isfinite(host.state.points[host.accepted]).all()
 
 
+def test_dynamics_outside_of_jit_grow_the_tree_that_they_grow_inside():
+    class Outside:
+        """Hides that the dynamics are a pytree."""
+
+        @staticmethod
+        def many(obstacles, states, actions):
+            return propagate(Towed(), obstacles, states, actions)
+
+    two = batch(problem(goal=(0.4, -0.3)), problem(obstacles=walls(centre=(-0.3, 0.0), half=(0.4, 0.4))))
+    # the whole batch at once inside, too: batches of different sizes are rounded differently
+    trees = [_search(Rrt(one, CAREFUL, TOY, SMALL), two) for one in (Towed(), Outside())]
+    check_alike(*trees)
+
+
+def check_alike(one, other):
+    for inside, outside in zip(*map(jax.tree.leaves, (one, other)), strict=True):
+        if inside.dtype == bool or jnp.issubdtype(inside.dtype, jnp.integer):
+            assert np.array_equal(inside, outside)
+        else:
+            assert np.asarray(inside) == pytest.approx(np.asarray(outside), abs=1e-6, nan_ok=True)
+
+
+@pytest.mark.slow  # beside it the same of dynamics that compile sooner
 def test_a_simulator_outside_of_jit_grows_the_tree_that_it_grows_inside():
     simulator = TOY.simulator()
-    states = jax.vmap(simulator.reset)(jax.random.split(jax.random.key(3), SIDE_BY_SIDE))
+    states = jax.jit(jax.vmap(simulator.reset))(jax.random.split(jax.random.key(3), SIDE_BY_SIDE))
     starts = simulated_start(simulator, states)
     two = batch(problem(goal=(0.4, -0.3)), problem())
     two = eqx.tree_at(lambda p: p.start, two, starts)
@@ -207,11 +230,7 @@ def test_a_simulator_outside_of_jit_grows_the_tree_that_it_grows_inside():
 
     # the whole batch at once inside, too: batches of different sizes are rounded differently
     trees = [_search(Rrt(simulated(one), BLIND, TOY, SMALL), two) for one in (simulator, Outside(simulator))]
-    for inside, outside in zip(*map(jax.tree.leaves, trees), strict=True):
-        if inside.dtype == bool or jnp.issubdtype(inside.dtype, jnp.integer):
-            assert np.array_equal(inside, outside)
-        else:
-            assert np.asarray(inside) == pytest.approx(np.asarray(outside), abs=1e-6, nan_ok=True)
+    check_alike(*trees)
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def test_hanging_point_masses_are_a_catenary():
     assert np.linalg.norm(np.diff(points, axis=0), axis=1).sum() / 0.768 - 1 < 0.006
 
 
-@pytest.mark.parametrize("links", [10, 25, 50])
+@pytest.mark.parametrize("links", [10, 25, pytest.param(50, marks=pytest.mark.slow)])
 def test_a_clamped_rope_sags_as_the_elastica(links):
     stiffnesses = (1e-3, 1e-2, 1e-1)
     scenes = [clamped_scene(links, stiffness) for stiffness in stiffnesses]

@@ -20,12 +20,18 @@ from doojax.simulation.state import Fault, SimState
 from doojax.tasks.dual_gripper import DualGripper
 from tests.simulation.scenes import no_start, planar_scene, straight_states
 
-BATCH = 8
+BATCH = 5
+
+
+def small(substeps: int):
+    """As few links as a rope can have: MJX compiles each."""
+    hand = Gripper(link=2, end=1, radius=0.02, max_force=10.0, max_speed=0.18)
+    return planar_scene(substeps, rope_model=RopeModel("planar_chain", 3), grippers=(hand,))
 
 
 @pytest.fixture(scope="session")
 def scene():
-    return planar_scene()
+    return small(substeps=100)
 
 
 @pytest.fixture(scope="session")
@@ -61,7 +67,7 @@ def with_ropes(scene, states, last):
 @pytest.fixture(scope="session")
 def actions():
     angle = np.linspace(0, 2 * np.pi, BATCH, endpoint=False)
-    move = 0.12 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    move = 0.06 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     return jnp.asarray(np.tile(move[:, None, None], (1, 2, 1, 1)), dtype=jnp.float32)
 
 
@@ -83,7 +89,7 @@ def test_free_motion_agrees_within_a_millimetre_after_a_second(scene, on_mujoco,
     gap = jnp.linalg.norm(by_c.states.points - by_mjx.states.points, axis=-1)
     assert gap.max() < 1e-3
     moved = jnp.linalg.norm(by_c.states.grippers[:, -1] - by_c.states.grippers[:, 0], axis=-1)
-    np.testing.assert_allclose(moved, 0.24, atol=0.002)
+    np.testing.assert_allclose(moved, 0.12, atol=0.002)
 
 
 @pytest.mark.slow
@@ -143,10 +149,10 @@ def test_an_element_that_blows_up_is_named_and_takes_no_other_along(scene, on_mu
 
 
 def test_methods_are_jitted_as_they_are(scene):
-    simulator = make_simulator(planar_scene(substeps=1), start=no_start, engine="mjx")
+    simulator = make_simulator(small(substeps=1), start=no_start, engine="mjx")
     state = jax.tree.map(lambda leaf: leaf[0], straight_states(scene, 1))
     assert jax.jit(simulator.obstacles)(state).centre.shape == (1, 3)
-    assert jax.jit(simulator.observe)(state).points.shape == (4, 3)
+    assert jax.jit(simulator.observe)(state).points.shape == (3, 3)
     assert hash(simulator.step) == hash(simulator.step)
     with pytest.raises(AssertionError, match="make their own starts"):
         jax.jit(simulator.reset)(jax.random.key(0))  # it got as far as the start that these tests forbid

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +18,13 @@ BATCH, PERIODS = 8, 4
 PHASES = ("unconstrained", "constrained")
 
 
-@pytest.fixture(scope="module", params=sorted(set(TASKS) - {"planar_pushing", "watering", "watering_2d"}))
+TESTED = [
+    pytest.param(name, marks=[pytest.mark.slow] * (name == "engine_bay"))  # of the kind of dual_gripper
+    for name in sorted(set(TASKS) - {"planar_pushing", "watering", "watering_2d"})
+]
+
+
+@pytest.fixture(scope="module", params=TESTED)
 def task(request):
     return make_task(request.param)
 
@@ -54,6 +61,28 @@ def cluttered(phases):
     return phases("constrained")
 
 
+@eqx.filter_jit
+def aims(task, key, obstacles):
+    """A goal in each of a batch of scenes."""
+    return jax.vmap(task.sample_goal)(jax.random.split(key, BATCH), obstacles)
+
+
+@eqx.filter_jit
+def surroundings(simulator, starts):
+    return jax.vmap(simulator.obstacles)(starts)
+
+
+@eqx.filter_jit
+def chosen(space, key, states, previous):
+    """An action in each of a batch of states."""
+    keys = jax.random.split(key, len(states.points))
+    return jax.vmap(lambda key, state: sampled(space, key, state, previous))(keys, states)
+
+
+def first(tree):
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], tree)
+
+
 def test_random_trajectories_are_sound(task, collected):
     _, start, seen, phase = collected
     links = task.scene.rope_model.links
@@ -85,25 +114,25 @@ def test_obstacles_leave_the_rope_room_at_the_start(cluttered):
 
 def test_goals_are_clear_of_obstacles(task, collected):
     simulator, start, _, _ = collected
-    obstacles = jax.vmap(simulator.obstacles)(start)
-    goals = jax.jit(jax.vmap(task.sample_goal))(jax.random.split(jax.random.key(1), BATCH), obstacles)
-    assert float(jax.vmap(signed_distance)(obstacles, goals.targets).min()) >= task.goal_threshold - 1e-6
+    obstacles = surroundings(simulator, start)
+    goals = aims(task, jax.random.key(1), obstacles)
+    away = jax.jit(jax.vmap(signed_distance))(obstacles, goals.targets)
+    assert float(away.min()) >= task.goal_threshold - 1e-6
 
 
 def test_a_sampled_goal_is_for_the_tasks_own_points(task, collected):
     simulator, start, seen, _ = collected
-    obstacles = simulator.obstacles(jax.tree.map(lambda leaf: leaf[0], start))
-    goal = task.sample_goal(jax.random.key(6), obstacles)
-    state = jax.tree.map(lambda leaf: leaf[0, -1], seen.states)
+    goal = first(aims(task, jax.random.key(6), surroundings(simulator, start)))
+    state = jax.tree.map(lambda leaf: np.asarray(leaf)[0, -1], seen.states)
     own = {"engine_bay": range(7, 18)}.get(task.name, [task.goal_point])
-    missing = min(jnp.linalg.norm(state.points[point] - goal.targets[0]) for point in own)
+    missing = min(np.linalg.norm(state.points[point] - goal.targets[0]) for point in own)
     assert float(goal.distance(state)) == pytest.approx(float(missing), rel=1e-6)
     assert float(goal.tolerance) == pytest.approx(task.goal_threshold)
 
 
 def test_a_state_names_its_passive_bodies_first(task, collected):
     _, _, seen, _ = collected
-    state = jax.tree.map(lambda leaf: leaf[0, 0], seen.states)
+    state = first(first(seen.states))
     assert isinstance(state, State) and state.passive + task.grippers == len(state.bodies())
     np.testing.assert_array_equal(state.bodies()[: state.passive], state.points)
     np.testing.assert_array_equal(state.bodies()[state.passive :], state.grippers)
@@ -113,11 +142,10 @@ def test_the_action_space_keeps_its_promises(task, collected):
     _, _, seen, phase = collected
     space = make_task(task.name, phase=phase).actions
     assert isinstance(space, ActionSpace) and hash(space) == hash(replace(space))
-    state = jax.tree.map(lambda leaf: leaf[0, 0], seen.states)
-    later = jax.tree.map(lambda leaf: leaf[0, -1], seen.states)
-    drawn = jax.vmap(space.draw)(jax.random.split(jax.random.key(7), 256))
+    state, later = (jax.tree.map(lambda leaf, t=t: np.asarray(leaf)[0, t], seen.states) for t in (0, -1))
+    drawn = jax.jit(jax.vmap(space.draw))(jax.random.split(jax.random.key(7), 256))
     assert drawn.shape[1:] == nothing_of(space).shape
-    assert float(jnp.linalg.norm(drawn, axis=-1).max()) <= space.longest
+    assert np.linalg.norm(drawn, axis=-1).max() <= space.longest * (1 + 1e-6)
     # what takes the hands from one state to another in two equal moves misses nothing after both
     half = space.between(state, later, 2)
     np.testing.assert_allclose(state.grippers + 2 * half, later.grippers, atol=1e-6)
@@ -128,11 +156,10 @@ def test_the_action_space_keeps_its_promises(task, collected):
 def test_actions_repeat_with_probability_four_fifths(task, collected):
     _, _, seen, phase = collected
     space = make_task(task.name, phase=phase).actions
-    state = jax.tree.map(lambda leaf: leaf[0, 0], seen.states)
-    previous = jnp.full((task.grippers, 3), 1e-4).at[:, 2].set(0.0)
-    keys = jax.random.split(jax.random.key(2), 2000)
-    actions = jax.jit(jax.vmap(lambda key: sampled(space, key, state, previous)))(keys)
-    repeated = np.asarray((actions == previous).all((1, 2))).mean()
+    states = jax.tree.map(lambda leaf: jnp.asarray(np.repeat(leaf[:1, 0], 2000, axis=0)), seen.states)
+    previous = np.full((task.grippers, 3), 1e-4, np.float32) * [1, 1, 0]
+    actions = np.asarray(chosen(space, jax.random.key(2), states, jnp.asarray(previous, jnp.float32)))
+    repeated = (actions == previous.astype(np.float32)).all((1, 2)).mean()
     assert abs(repeated - 0.8) < 3 * (0.8 * 0.2 / 2000) ** 0.5
 
 
@@ -143,21 +170,19 @@ def test_unknown_names_are_refused_with_the_list():
 
 def test_goals_and_their_point_are_where_the_rope_can_be(task, cluttered):
     simulator, start, seen, _ = cluttered
-    obstacles = simulator.obstacles(jax.tree.map(lambda leaf: leaf[0], start))
-    draw = jax.jit(jax.vmap(task.sample_goal, (0, None)))
-    goals = draw(jax.random.split(jax.random.key(1), 64), obstacles)
-    assert bool(task.workspace.contains(goals.targets).all())
-    state = jax.tree.map(lambda leaf: leaf[0, 0], seen.states)
-    assert float(point_goal(task, state.points[task.goal_point]).distance(state)) == 0.0
+    every = surroundings(simulator, start)
+    goals = [aims(task, jax.random.key(seed), every) for seed in range(8)]
+    assert all(bool(task.workspace.contains(one.targets).all()) for one in goals)
+    state = first(first(seen.states))
+    assert float(point_goal(task, jnp.asarray(state.points[task.goal_point])).distance(state)) == 0.0
 
 
 def test_sampled_actions_are_valid_and_much_longer_ones_are_not(task, collected):
     _, _, seen, phase = collected
-    states = jax.tree.map(lambda leaf: leaf[:, 0], seen.states)
-    keys, previous = jax.random.split(jax.random.key(3), BATCH), jnp.zeros((task.grippers, 3))
     space = make_task(task.name, phase=phase).actions
-    actions = jax.jit(jax.vmap(lambda key, state: sampled(space, key, state, previous)))(keys, states)
+    states = jax.tree.map(lambda leaf: jnp.asarray(np.repeat(leaf[:, 0], 2000 // BATCH, axis=0)), seen.states)
+    actions = np.asarray(chosen(space, jax.random.key(3), states, jnp.zeros((task.grippers, 3))))
     valid = jax.jit(jax.vmap(space.valid))
-    assert bool(valid(states, actions).all())
-    long = 0.2 * actions / jnp.linalg.norm(actions, axis=-1, keepdims=True)
-    assert not bool(valid(states, long).any())
+    assert bool(valid(states, jnp.asarray(actions)).all())
+    long = 0.2 * actions / np.linalg.norm(actions, axis=-1, keepdims=True)
+    assert not bool(valid(states, jnp.asarray(long)).any())

@@ -15,7 +15,8 @@ from doojax.tasks.starts import moved_state, resting, straight_qpos
 
 
 @pytest.mark.parametrize(
-    ("name", "height", "rounding"), [("rope_dragging", 0.02, 2e-4), ("dual_gripper", 1.0, 2e-6)]
+    ("name", "height", "rounding"),
+    [("rope_dragging", 0.02, 2e-4), pytest.param("dual_gripper", 1.0, 2e-6, marks=pytest.mark.slow)],
 )
 def test_physics_do_not_depend_on_where(name, height, rounding):
     """Velocities, commands and actions are turned with the rope, or the periods after would differ.

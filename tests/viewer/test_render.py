@@ -65,7 +65,7 @@ def test_those_that_move_most_are_found(contents):
     assert most_moving(dataset, 3) == sorted(np.argsort(-steps.sum(1))[:3].tolist())
 
 
-@pytest.mark.parametrize("ending", ["gif", "mp4"])
+@pytest.mark.parametrize("ending", ["gif", pytest.param("mp4", marks=pytest.mark.slow)])
 def test_a_film_moves(tmp_path, ending):
     write_dataset(tmp_path / "short", 1, states=6)
     film = tmp_path / "deep" / f"short.{ending}"

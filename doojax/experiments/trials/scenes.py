@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from rich.console import Console
 from rich.table import Table
 
@@ -26,10 +28,11 @@ from doojax.files import whole_file
 from doojax.keys import numbered, stream
 from doojax.planning import Goal
 from doojax.reading import NumberKind, checked, read_arrays, require_arrays
-from doojax.simulation.state import Fault, SimState
+from doojax.simulation.state import Fault, SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Sampling, Task, observed
 from doojax.tasks.ropes import OWN, OtherRope, carrying, with_rope
+from doojax.types import Obstacles
 
 VERSION = 2  # raise it when scenes of the same seed become others
 FOLDER = Path(__file__).parents[1] / "scene_sets"
@@ -196,8 +199,6 @@ def draw_scenes(
     if count < 1:
         raise ValueError(f"count is {count}, expected at least 1")
     simulator = task.simulator("mujoco")  # on every machine: where ropes get caught, engines differ
-    reset = jax.jit(jax.vmap(simulator.reset))
-    aim = jax.jit(jax.vmap(task.sample_goal))
     fixed = getattr(task, "starts", None) == "fixed"
     root = stream(seed, *stream_names(task.name, difficulty, caught, purpose, fixed))
     radius = Look.of(task.scene).rope_radius
@@ -214,9 +215,9 @@ def draw_scenes(
         if caught:
             starts, held = _caught(task, simulator, start_keys)
         else:
-            starts, held = reset(start_keys), np.ones(DRAWN, dtype=bool)
+            starts, held = _starts(simulator, start_keys), np.ones(DRAWN, dtype=bool)
         obstacles = jax.vmap(simulator.obstacles)(starts)
-        goals = aim(goal_keys, obstacles)
+        goals = _goals(task, goal_keys, obstacles)
         begin = np.asarray(observed(simulator, starts).bodies())[:, task.goal_point]
         if not isinstance(task, Sampling):
             sizes = measured(obstacles, begin, np.asarray(goals.targets)[:, 0], task.workspace)
@@ -230,6 +231,16 @@ def draw_scenes(
         found, drawn = found + int(hard.sum()), drawn + DRAWN
     starts, goals, sizes = jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
     return SceneSet(task.name, seed, starts, goals, sizes, difficulty, caught, purpose=purpose, fixed=fixed)
+
+
+@eqx.filter_jit
+def _starts(simulator: Simulator, keys: Array) -> SimState:
+    return jax.vmap(simulator.reset)(keys)
+
+
+@eqx.filter_jit
+def _goals(task: Task, keys: Array, obstacles: Obstacles) -> Goal:
+    return jax.vmap(task.sample_goal)(keys, obstacles)
 
 
 def save_scenes(path: Path, scenes: SceneSet) -> None:
@@ -354,7 +365,7 @@ def _check_arrays(task: Task, stored: dict[str, np.ndarray]) -> None:
         raise ValueError(f"the goal of scene {np.argwhere(~inside)[0][0]} lies outside of the workspace")
 
 
-def _caught(task: Task, simulator: Any, keys: jax.Array) -> tuple[SimState, np.ndarray]:
+def _caught(task: Task, simulator: Any, keys: Array) -> tuple[SimState, np.ndarray]:
     """Where random actions led, and whether an obstacle held back the last of them."""
     _, last, seen = random_trajectories(task, simulator, keys, RANDOM_ACTIONS)
     moved = seen.states.grippers[:, -1] - seen.states.grippers[:, -2]

@@ -19,21 +19,9 @@ from doojax.robots import DUAL_ARM, read_robot
 from doojax.simulation.engines.mujoco import MujocoSimulator
 from doojax.tasks import make_task
 from doojax.types import Obstacles, RopeState, Transition
+from tests.robots.small_arms import SMALL, STARTS
 from tests.simulation.scenes import no_start
 
-# Two arms of two links and a tool each, 40 cm apart: shoulders that turn about z and y, elbows about y.
-ARM = """
-<body name="{0}_turn" pos="0 {1} 0"><joint name="{0}_yaw" axis="0 0 1" range="-1.5 1.5"/>
-  <geom size="0.03" fromto="0 0 0 0.1 0 0" type="capsule"/>
-  <body name="{0}_upper"><joint name="{0}_pitch" axis="0 1 0" range="-1.5 1.5"/>
-    <geom size="0.03" fromto="0.05 0 0 0.4 0 0" type="capsule"/>
-    <body name="{0}_lower" pos="0.4 0 0"><joint name="{0}_elbow" axis="0 1 0" range="0 2.6"/>
-      <geom size="0.025" fromto="0.05 0 0 0.35 0 0" type="capsule"/><site name="{0}" pos="0.4 0 0"/>
-</body></body></body>
-"""
-SMALL = "<mujoco><compiler angle='radian' autolimits='true'/><worldbody>{}</worldbody></mujoco>".format(
-    ARM.format("left", 0.2) + ARM.format("right", -0.2)
-)
 TASK = make_task("dual_gripper")
 TABLE, BOX = ((0.8, 0.0, 0.565), (0.4, 0.75, 0.06)), ((0.6, 0.1, 0.775), (0.06, 0.06, 0.15))
 OBSTACLES = Obstacles(
@@ -83,8 +71,7 @@ class Case:
 def small(tmp_path_factory) -> Case:
     file = tmp_path_factory.mktemp("arms") / "small.xml"
     file.write_text(SMALL)
-    starts = jnp.array([[0.0, 0.3, 0.6] * 2, [0.0, -0.7, 1.4] * 2])
-    arms = ArmsFeasible(read_robot(file), starts, (0.0, 0.0, 0.9), 0.0, tuple(range(6)), 0.002)
+    arms = ArmsFeasible(read_robot(file), STARTS, (0.0, 0.0, 0.9), 0.0, tuple(range(6)), 0.002)
     return Case(str(file), arms, Conjunction((Always(), arms)))
 
 

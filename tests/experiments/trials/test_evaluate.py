@@ -20,12 +20,28 @@ from doojax.experiments.trials.methods import RECIPES
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.scenes import FOLDER, draw_scenes, save_scenes, scene_file
 from doojax.experiments.trials.setting import Method
+from doojax.experiments.trials.trial import run_trials
 from tests.planning.problems import BLIND, Towed
 
 from .test_trial import counted
 from .toy_trials import METHODS, PLANNING, SETTINGS, SIMULATOR, TOY, trials
 
 METHOD = "collision_checker"
+RUN = "doojax.experiments.trials.evaluate.run_trials"
+
+
+def unplanned(task, simulator, method, planning, budget, trials, *, keep_trees=False):
+    """Records of trials that end before they begin."""
+    nobody = trials._replace(wanted=[False] * len(trials.numbers))
+    return run_trials(task, simulator, method, planning, budget, nobody)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def nothing_is_planned():
+    """No search is compiled, but in slow tests; `test_other_tasks` evaluates with plans."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(RUN, unplanned)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +52,7 @@ def scenes(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def run(scenes):
+def run(scenes, nothing_is_planned):
     """Evaluate with what all these tests share."""
 
     def evaluated(out: Path, **options):
@@ -88,8 +104,9 @@ def test_more_trials_are_the_same_and_more_and_none_is_run_again(run, whole, tmp
 
 
 @pytest.mark.slow
-def test_killed_and_resumed_it_ends_with_the_same_trials(run, whole, scenes, tmp_path):
-    out = tmp_path / "out"
+def test_killed_and_resumed_it_ends_with_the_same_trials(run, scenes, tmp_path, monkeypatch):
+    monkeypatch.setattr(RUN, run_trials)
+    out, whole = tmp_path / "out", run(tmp_path / "whole")
     code = """
 import sys
 from pathlib import Path
@@ -146,7 +163,34 @@ class Poisoned:
 towed = jax.jit(jax.vmap(jax.vmap(Towed(), in_axes=(None, 0, 0))))
 
 
-def test_a_trial_that_crashes_is_recorded_and_takes_no_other_along():
+def test_a_trial_that_crashes_is_recorded_and_takes_no_other_along(monkeypatch):
+    some, asked = trials(), []
+
+    def failing(task, simulator, method, planning, budget, some, keep_trees):
+        """Nothing is planned, and where the second is wanted there is an error."""
+        wanted = some.wanted or [True] * 3
+        asked.append([number for number, run in zip(some.numbers, wanted, strict=True) if run])
+        if 8 in asked[-1]:
+            raise RuntimeError("no such rope\nand more")
+        return unplanned(task, simulator, method, planning, budget, some)
+
+    monkeypatch.setattr(RUN, failing)
+    ran = attempted(TOY, SIMULATOR, METHODS["no_classifier"], PLANNING, SETTINGS, some)
+    assert asked == [[7, 8, 9], [7], [8], [9]]
+    assert ran[1].end == "crashed: RuntimeError: no such rope"
+    assert "in failing" in ran[1].about["traceback"]
+    assert ran[1].about["final_error_m"] == pytest.approx(
+        np.linalg.norm(ran[1].points[0, 0] - ran[1].goal), abs=1e-6
+    )
+    own = np.asarray(SIMULATOR.observations(some.starts).state.points)
+    for index, number in ((0, 7), (2, 9)):
+        assert not ran[index].end.startswith("crashed") and ran[index].about["trial"] == number
+        np.testing.assert_array_equal(ran[index].points[0], own[index])
+
+
+@pytest.mark.slow  # beside it the same of trials that plan nothing
+def test_what_crashes_outside_of_jit_leaves_the_others_their_plans(monkeypatch):
+    monkeypatch.setattr(RUN, run_trials)
     some = trials()
     tail = SIMULATOR.observations(some.starts).state.points[1, 0]
     blind = Method("blind", Towed(), BLIND)
@@ -167,7 +211,7 @@ def test_a_method_all_of_whose_trials_crash_is_an_error(run, tmp_path, monkeypat
     def fail(*arguments, **options):
         raise RuntimeError("no memory")
 
-    monkeypatch.setattr("doojax.experiments.trials.evaluate.run_trials", fail)
+    monkeypatch.setattr(RUN, fail)
     message = f"2 of 2 trials of {METHOD} crashed: RuntimeError: no memory"
     with pytest.raises(ValueError, match=message):  # status 2, from the command line
         run(tmp_path / "a", trials=2)

@@ -82,7 +82,7 @@ def test_what_is_collected_can_be_learned(folder, learned):
     data = Dataset.open(folder / "unconstrained")
     assert {"positions", "velocities", "hand", "actions"} <= set(data.fields)
     unseen = load_split(data, "calibration")
-    error = jax.vmap(lambda one: errors(learned, one)[1])(unseen)[:, -1].mean()
+    error = jax.jit(jax.vmap(lambda one: errors(learned, one)[1]))(unseen)[:, -1].mean()
     moved = jnp.linalg.norm(unseen.states.positions[:, -1, 0] - unseen.states.positions[:, 0, 0], axis=-1)
     assert float(error) < 0.4 * float(moved.mean())  # of what it errs that believes that nothing moves
 
@@ -91,7 +91,7 @@ def test_where_the_model_holds_is_labelled(folder, learned):
     """The model has seen no post: where a hand or the cylinder meets one it errs."""
     data = load_split(Dataset.open(folder / "constrained"), "train")
     found = label(learned, data, LabelConfig(start_every=1, horizon=1))
-    near = jax.vmap(CollisionChecker().distance)(
+    near = jax.jit(jax.vmap(CollisionChecker().distance))(
         jax.tree.map(lambda leaf: leaf[found.trajectory], data.obstacles), found.transition
     )
     assert len(found) == len(data) * 5

@@ -30,7 +30,7 @@ SCENES = {"stream": "scenes/toy/easy", "seed": 3}
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name not in ("toy", "rope_dragging")))
+        pytest.param(name, marks=[pytest.mark.slow] * (name != "toy"))
         for name in sorted(set(TASKS) - {"planar_pushing", "watering"})  # without trials; dear
     ],
 )

@@ -15,6 +15,7 @@ from tests.planning.problems import BLIND, CAREFUL, TIMID, Towed
 
 TOY = make_task("toy")
 SIMULATOR = TOY.simulator()
+STARTS = jax.jit(jax.vmap(SIMULATOR.reset))
 PLANNING = RrtSettings(lanes=16, extensions=480, duration=8, candidates=2, stuck_after=16)
 SETTINGS = TrialSettings(searches=4, actions=60)
 
@@ -30,7 +31,7 @@ GOALS = ((-0.3, 0.1), (0.3, -0.1), (-0.2, -0.3))  # the second behind the wall
 
 def trials(goals=GOALS, seed: int = 0) -> Trials:
     """One trial for each goal, each from a start of its own."""
-    starts = jax.vmap(SIMULATOR.reset)(jax.random.split(jax.random.key(seed), len(GOALS)))
+    starts = STARTS(jax.random.split(jax.random.key(seed), len(GOALS)))
     aims = [point_goal(TOY, jnp.array([*goal, HEIGHT])) for goal in goals]
     return Trials(starts, jax.tree.map(lambda *leaves: jnp.stack(leaves), *aims), [7, 8, 9], 2**40)
 
