@@ -19,6 +19,7 @@ from doojax.models.protocols import above
 from doojax.models.recovery import RecoveryNetwork, carried_along
 from doojax.tasks import make_task
 from doojax.types import Obstacles, RopeState
+from tests.calls import called
 
 SIZE = {"grippers": 1, "origin": "gripper", "width": 8}
 
@@ -69,13 +70,18 @@ def data():
 
 def test_every_state_is_judged_in_its_own_scene_with_its_own_actions(data):
     task, key = make_task("toy"), jax.random.key(4)
+
+    @jax.jit
+    def one_of(scene, state, key):
+        return acceptance(task, Carried(), Moved(), scene, state, key=key)
+
     together = acceptances(task, Carried(), Moved(), data.obstacles, data.states, key=key)
     for row in range(3):
         for time in range(3):
             scene = jax.tree.map(lambda leaf, r=row: leaf[r], data.obstacles)
             state = jax.tree.map(lambda leaf, r=row, t=time: leaf[r, t], data.states)
             own = jax.random.fold_in(key, 3 * row + time)
-            alone = acceptance(task, Carried(), Moved(), scene, state, key=own)
+            alone = one_of(scene, state, own)
             assert float(together[row, time]) == float(alone)
     assert 0 < float(together[1, 0]) < 1
 
@@ -104,16 +110,17 @@ def test_a_perfect_recovery_weighs_as_much_as_any_other(data):
     assert (model.network.head.layers[0].weight != encoder.head.layers[0].weight).any()
     logits = [
         float(
-            model.logit(
+            called(
+                model.logit,
                 *jax.tree.map(
                     lambda leaf, i=i: leaf[i], (examples.obstacles, examples.state, examples.action)
-                )
+                ),
             )
         )
         for i in range(2)
     ]
     expected = (np.log1p(np.exp(-logits[0])) + np.log1p(np.exp(logits[1]))) / 2
-    assert float(problem.loss(model, jnp.arange(2), None)) == pytest.approx(expected, rel=1e-5)
+    assert float(called(problem.loss, model, jnp.arange(2), None)) == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_recovery_network_gives_a_probability_that_turns_with_the_scene():
@@ -124,9 +131,11 @@ def test_a_recovery_network_gives_a_probability_that_turns_with_the_scene():
     turn = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     turned_state = jax.tree.map(lambda leaf: leaf @ turn.T, state)
     turned_scene = eqx.tree_at(lambda s: s.centre, scene, scene.centre @ turn.T)
-    probability = float(network(scene, state, action))
+    probability = float(called(network, scene, state, action))
     assert 0 < probability < 1
-    assert float(network(turned_scene, turned_state, action @ turn.T)) == pytest.approx(probability, abs=1e-5)
+    assert float(called(network, turned_scene, turned_state, action @ turn.T)) == pytest.approx(
+        probability, abs=1e-5
+    )
 
 
 def test_points_between_two_grippers_are_carried_in_proportion():

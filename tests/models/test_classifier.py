@@ -18,6 +18,7 @@ from doojax.models.classifier import (
 from doojax.models.local import chain_of, local_frame
 from doojax.tasks import make_task
 from doojax.types import Obstacles, RopeState, Transition
+from tests.calls import called
 
 OBSTACLES = Obstacles(
     kind=jnp.array([0, 1, 2]),
@@ -39,6 +40,13 @@ def transition(points: int, grippers: int) -> tuple[RopeState, jax.Array, RopeSt
     return RopeState(rope, rope[hands]), action[moves], RopeState(moved, moved[hands])
 
 
+@jax.jit
+def around(place):
+    """Distances of points, and which way these grow."""
+    away = jax.vmap(jax.grad(signed_distance, argnums=1), (None, 0))(OBSTACLES, place)
+    return signed_distance(OBSTACLES, place)[:, None], away
+
+
 @pytest.mark.parametrize(
     "points, grippers, moments, midpoints",
     [pytest.param(25, 2, 3, True, marks=pytest.mark.slow), (10, 1, 2, False)],
@@ -53,7 +61,7 @@ def test_the_network_sees_per_point_its_place_motion_and_distances_at_each_momen
     step = Transition(before, action, after, jnp.array(0.02))
     chain, whole = eqx.filter_jit(classifier.inputs)(OBSTACLES, step)
 
-    frame = local_frame(before, action, "gripper", "canonical")
+    frame = called(local_frame, before, action, "gripper", "canonical")
     begin, end = chain_of(before, midpoints), chain_of(after, midpoints)
     expected = [
         np.linspace(-1, 1, len(begin))[:, None],
@@ -62,8 +70,7 @@ def test_the_network_sees_per_point_its_place_motion_and_distances_at_each_momen
     ]
     for part in np.linspace(0, 1, moments):
         place = begin + part * (end - begin)
-        away = jax.vmap(jax.grad(signed_distance, argnums=1), (None, 0))(OBSTACLES, place)
-        distance = signed_distance(OBSTACLES, place)[:, None]
+        distance, away = around(place)
         fading = jnp.exp(-jnp.maximum(distance, 0) / FAR)
         expected += [jnp.tanh(distance / NEAR), jnp.tanh(distance / FAR), fading * frame.vectors_in(away)]
     np.testing.assert_allclose(chain, np.concatenate(expected, axis=1), atol=2e-5)

@@ -10,6 +10,7 @@ from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
 from doojax.models.ensemble import Ensemble, summary
 from doojax.models.rolling import roll_out
 from doojax.types import RopeState
+from tests.calls import called
 
 from .voxel_examples import box
 
@@ -43,19 +44,19 @@ def test_the_spread_by_hand():
 
 def test_members_that_agree_have_no_spread(ensemble):
     same = Ensemble(jax.tree.map(lambda x: x[:1].repeat(3, 0) if eqx.is_array(x) else x, ensemble.members))
-    after, spread = same(None, START, ACTIONS[0])
+    after, spread = called(same, None, START, ACTIONS[0])
     assert float(spread) == pytest.approx(0, abs=1e-6)
-    expected = alone(ensemble, 0).predict(START, ACTIONS[0])
+    expected = called(alone(ensemble, 0).predict, START, ACTIONS[0])
     np.testing.assert_allclose(after.points, expected.points, atol=1e-6)
-    assert float(ensemble(None, START, ACTIONS[0])[1]) > 0.01
+    assert float(called(ensemble, None, START, ACTIONS[0])[1]) > 0.01
 
 
 def test_members_roll_out_on_their_own(ensemble):
     """Beside a plain loop; from the mean, as planners go on, it comes out differently."""
-    means, spread = ensemble.roll_out_members(None, START, ACTIONS)
+    means, spread = called(ensemble.roll_out_members, None, START, ACTIONS)
     states = [START] * ensemble.size
     for step, action in enumerate(ACTIONS):
-        states = [alone(ensemble, i).predict(state, action) for i, state in enumerate(states)]
+        states = [called(alone(ensemble, i).predict, state, action) for i, state in enumerate(states)]
         points, grippers = (
             np.stack([np.asarray(getattr(state, name)) for state in states])
             for name in ("points", "grippers")
@@ -63,7 +64,7 @@ def test_members_roll_out_on_their_own(ensemble):
         np.testing.assert_allclose(means.points[step + 1], points.mean(0), atol=1e-5)
         expected = points.std(0).sum() + grippers.std(0).sum()
         assert float(spread[step]) == pytest.approx(expected, abs=1e-5)
-    together, doubt = roll_out(ensemble, None, START, ACTIONS)
+    together, doubt = called(roll_out, ensemble, None, START, ACTIONS)
     np.testing.assert_allclose(means.points[1], together.points[1], atol=1e-6)
     assert float(spread[0]) == pytest.approx(float(doubt[0]), abs=1e-6)
     assert float(jnp.abs(means.points[-1] - together.points[-1]).max()) > 1e-4
@@ -71,11 +72,11 @@ def test_members_roll_out_on_their_own(ensemble):
 
 
 def test_a_roll_out_repeats_one_step(ensemble):
-    states, doubt = roll_out(ensemble, None, START, ACTIONS)
+    states, doubt = called(roll_out, ensemble, None, START, ACTIONS)
     np.testing.assert_array_equal(states.points[0], START.points)
     state = START
     for step, action in enumerate(ACTIONS):
-        state, uncertainty = ensemble(None, state, action)
+        state, uncertainty = called(ensemble, None, state, action)
         np.testing.assert_allclose(states.points[step + 1], state.points, atol=1e-5)
         assert float(doubt[step]) == pytest.approx(float(uncertainty), abs=1e-5)
 

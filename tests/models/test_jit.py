@@ -24,7 +24,7 @@ CONFIGS = {
     "voxel_classifier": {"points": 3, "view": VIEW, "width": 8},
     "policy": {"observation": 5, "action": 2, "width": 8, "depth": 2},
 }
-MODELS = {kind: BUILDERS[kind](config) for kind, config in CONFIGS.items()}
+MODELS = {kind: eqx.filter_jit(BUILDERS[kind])(config) for kind, config in CONFIGS.items()}
 MODELS |= {
     "member": jax.tree.map(lambda leaf: leaf[0] if eqx.is_array(leaf) else leaf, MODELS["dynamics"].members),
     "always": Always(),

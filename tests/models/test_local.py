@@ -42,17 +42,26 @@ def test_what_goes_in_comes_out_again(origin, symmetry, grippers):
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 1000), st.floats(-3.1, 3.1), st.sampled_from([1, 2]), st.booleans())
 def test_a_canonical_frame_sees_no_turn_about_the_vertical_no_shift_and_no_mirror(seed, yaw, count, mirror):
-    state, action = drawn(seed, count)
-    turn, shift = quaternion_from_yaw(jnp.array(yaw)), jnp.array([0.7, -0.2, 0.4])
-    flip = jnp.array([1.0, -1.0 if mirror else 1.0, 1.0])
+    here, there = seen_here_and_there(*drawn(seed, count), jnp.array(yaw), jnp.array(-1.0 if mirror else 1.0))
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-5)
+
+
+@jax.jit
+def seen_here_and_there(state, action, yaw, side):
+    """Points and action in a canonical frame; and when all was mirrored, turned and moved."""
+    turn, shift = quaternion_from_yaw(yaw), jnp.array([0.7, -0.2, 0.4])
+    flip = jnp.stack([1.0, side, 1.0])
 
     def moved(vectors):
         return rotate(turn, vectors * flip)
 
+    def seen(state, action):
+        frame = local_frame(state, action, "gripper", "canonical")
+        return frame.points_in(state.points), frame.vectors_in(action)
+
     other = RopeState(moved(state.points) + shift, moved(state.grippers) + shift)
-    one, two = (local_frame(*it, "gripper", "canonical") for it in ((state, action), (other, moved(action))))
-    np.testing.assert_allclose(one.points_in(state.points), two.points_in(other.points), atol=2e-5)
-    np.testing.assert_allclose(one.vectors_in(action), two.vectors_in(moved(action)), atol=2e-5)
+    return seen(state, action), seen(other, moved(action))
 
 
 def test_a_canonical_frame_by_hand():

@@ -15,6 +15,7 @@ from doojax.models.deviation import DeviationEstimator
 from doojax.models.ensemble import Ensemble
 from doojax.models.pouring import PouringConfig, PouringDynamics, PouringJudgeConfig, sent_to
 from doojax.types import Obstacles, PouringState, ShapeKind, Transition
+from tests.calls import called
 
 SMALL = PouringConfig(width=8, depth=1)
 
@@ -33,8 +34,8 @@ def network():
 def test_moving_everything_moves_what_is_predicted(network):
     assert isinstance(network, PouringDynamics)
     action = jnp.array([[0.1, -0.05, 0.3]])
-    here, _ = network(None, state_at(0.2, 0.3), action)
-    there, _ = network(None, state_at(0.9, 0.4, receiver=(1.2, 0.0, 0.12)), action)
+    here, _ = called(network, None, state_at(0.2, 0.3), action)
+    there, _ = called(network, None, state_at(0.9, 0.4, receiver=(1.2, 0.0, 0.12)), action)
     np.testing.assert_allclose(there.container - here.container, [0.7, 0.0, 0.1], atol=1e-5)
     np.testing.assert_allclose(there.volumes, here.volumes, atol=1e-5)
     assert float(there.angle) == pytest.approx(float(here.angle), abs=1e-5)
@@ -43,8 +44,8 @@ def test_moving_everything_moves_what_is_predicted(network):
 def test_a_network_that_changes_nothing_gets_where_it_is_sent(network):
     quiet = eqx.tree_at(lambda one: one.output_scale, network, jnp.zeros(5))
     state, action = state_at(0.2, 0.3, volumes=(0.25, 0.5)), jnp.array([[0.1, -0.05, 2.5]])
-    after, doubt = quiet(None, state, action)
-    assert eqx.tree_equal(after, sent_to(state, action)) and float(doubt) == 0
+    after, doubt = called(quiet, None, state, action)
+    assert eqx.tree_equal(after, called(sent_to, state, action)) and float(doubt) == 0
     np.testing.assert_allclose(after.container, [0.3, 0.0, 0.25], atol=1e-6)
 
 
@@ -53,7 +54,7 @@ def test_scales_are_those_of_the_transitions(network):
     states = eqx.tree_at(lambda s: s.container, states, states.container.at[:, 0].set(jnp.arange(4.0)))
     actions = jnp.zeros((4, 1, 3))
     after = eqx.tree_at(lambda s: s.volumes, states, jnp.array([[0.0, 1.0], [0.5, 0.5]] * 2))
-    scaled = network.scaled_to(states, actions, after)
+    scaled = called(network.scaled_to, states, actions, after)
     assert float(scaled.input_mean[0]) == pytest.approx(10 * (1.5 - 0.5), rel=1e-4)
     np.testing.assert_allclose(scaled.output_scale[3:], 0.25, rtol=1e-4)
 
@@ -84,7 +85,7 @@ def test_a_judge_sees_what_is_near_and_not_what_is_far():
             half_size=jnp.full((1, 3), 0.05),
             active=jnp.ones(1, bool),
         )
-        return float(judge(box, step).score)
+        return float(called(judge, box, step).score)
 
     assert judged(2.0) == pytest.approx(judged(3.0), rel=1e-5)
     assert abs(judged(0.45) - judged(2.0)) > 1e-6

@@ -9,6 +9,7 @@ import pytest
 from doojax.keys import generator, stream
 from doojax.models.propnet import PropNet, PropNetConfig, pushed_along
 from doojax.types import PushingState
+from tests.calls import called
 
 BODIES, PERIOD = 5, 0.25
 CONFIG = PropNetConfig(BODIES, PERIOD, particle=8, relation=8, effect=8, passes=2)
@@ -29,16 +30,16 @@ def chain():
 def test_a_push_is_felt_as_far_as_effects_are_passed(model):
     """The first pass goes to who is joined to the hand, each further one a body on."""
     places, before = chain()
-    moves = model.moves(places, before)
-    pushed = model.moves(places, before.at[-1, 0].set(0.01))
+    moves = called(model.moves, places, before)
+    pushed = called(model.moves, places, before.at[-1, 0].set(0.01))
     felt = np.abs(np.asarray(pushed - moves)).max(1) > 1e-9
     assert felt.tolist() == [True, True, False, False, False]
 
 
 def test_what_is_out_of_reach_does_not_matter(model):
     places, before = chain()
-    away = model.moves(places.at[-2].set(jnp.array([0.9, 0.3])), before)
-    np.testing.assert_allclose(away[:-1], model.moves(places, before)[:-1], atol=1e-7)
+    away = called(model.moves, places.at[-2].set(jnp.array([0.9, 0.3])), before)
+    np.testing.assert_allclose(away[:-1], called(model.moves, places, before)[:-1], atol=1e-7)
 
 
 def test_names_do_not_matter(model):
@@ -46,8 +47,10 @@ def test_names_do_not_matter(model):
     places = jnp.asarray(draw.uniform(-0.06, 0.06, (BODIES + 1, 2)), jnp.float32)
     before = jnp.asarray(draw.uniform(-0.01, 0.01, (BODIES + 1, 2)), jnp.float32)
     order = np.append(draw.permutation(BODIES), BODIES)
-    moves = model.moves(places, before)
-    np.testing.assert_allclose(model.moves(places[order], before[order]), moves[order[:-1]], atol=1e-6)
+    moves = called(model.moves, places, before)
+    np.testing.assert_allclose(
+        called(model.moves, places[order], before[order]), moves[order[:-1]], atol=1e-6
+    )
 
 
 def test_as_many_joints_as_are_within_reach_give_the_same(model):
@@ -58,7 +61,9 @@ def test_as_many_joints_as_are_within_reach_give_the_same(model):
         PropNet(PropNetConfig(**(vars(CONFIG) | {"joints": within})), key=stream(0, "test", "propnet")),
         model.predictor,
     )
-    np.testing.assert_allclose(few.moves(places, before), model.moves(places, before), atol=1e-6)
+    np.testing.assert_allclose(
+        called(few.moves, places, before), called(model.moves, places, before), atol=1e-6
+    )
 
 
 def test_a_step_of_dynamics_is_a_period_of_a_roll_out(model):
@@ -69,8 +74,8 @@ def test_a_step_of_dynamics_is_a_period_of_a_roll_out(model):
         velocities=jnp.zeros((BODIES, 3)),
         hand=jnp.append(places[-1], 0.02),
     )
-    after, doubt = model(None, state, jnp.append(hand_move, 0.0)[None])
-    ends, moves = pushed_along(model, places, before, places[-1:], hand_move[None])
+    after, doubt = called(model, None, state, jnp.append(hand_move, 0.0)[None])
+    ends, moves = called(pushed_along, model, places, before, places[-1:], hand_move[None])
     np.testing.assert_allclose(after.positions[:, :2], ends[0], atol=1e-7)
     np.testing.assert_allclose(after.velocities[:, :2] * PERIOD, moves[0], atol=1e-7)
     np.testing.assert_allclose(after.hand, [0.004, -0.002, 0.02], atol=1e-7)
@@ -79,5 +84,5 @@ def test_a_step_of_dynamics_is_a_period_of_a_roll_out(model):
 
 def test_derivatives_are_finite_where_two_bodies_coincide(model):
     places, before = chain()
-    slope = jax.grad(lambda at: model.moves(at, before).sum())(places.at[1].set(places[0]))
+    slope = jax.jit(jax.grad(lambda at: model.moves(at, before).sum()))(places.at[1].set(places[0]))
     assert bool(jnp.isfinite(slope).all())

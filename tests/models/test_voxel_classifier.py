@@ -17,6 +17,7 @@ from doojax.models import Reliability
 from doojax.models.rasters import Encoder, ViewConfig, convolved, rasterise, view
 from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
 from doojax.types import Obstacles, ShapeKind, Transition
+from tests.calls import called
 
 from .voxel_examples import DEEP, FLAT, box, rope
 
@@ -56,7 +57,7 @@ def test_the_voxels_are_what_numpy_says():
         active=jnp.array([True, True, False]),
     )
     state = rope(0.2, 0.03, 0.5, points=5, grippers=2)
-    voxels = np.asarray(rasterise(obstacles, state, DEEP))
+    voxels = np.asarray(called(rasterise, obstacles, state, DEEP))
 
     assert voxels.shape == (12, 12, 12, DEEP.inputs)
     middle = np.asarray(state.points).mean(0)
@@ -80,8 +81,8 @@ def test_the_voxels_are_what_numpy_says():
 def test_both_kinds_of_raster_are_those_of_the_geometry(raster, of):
     state = rope(0.1, -0.2, 0.3, points=4, grippers=2)
     grid = Grid(state.points.mean(0) - 0.3, 0.05, (12, 12, 12))
-    voxels = rasterise(box(9, 9, 9), state, replace(DEEP, raster=raster))
-    expected = jnp.moveaxis(of(state.points, grid), 2, 0)
+    voxels = called(rasterise, box(9, 9, 9), state, replace(DEEP, raster=raster))
+    expected = np.moveaxis(called(of, state.points, grid), 2, 0)
     np.testing.assert_allclose(voxels[..., 1], expected, atol=1e-5)
 
 
@@ -118,7 +119,7 @@ def test_the_encoder_is_a_convolution_over_three_axes_with_pools(config):
             jax.nn.relu(expected + bias), -jnp.inf, jax.lax.max, window, window, "VALID"
         )
     assert expected.size == config.features
-    np.testing.assert_allclose(encoder.convolve(voxels), expected.reshape(-1), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(called(encoder.convolve, voxels), expected.reshape(-1), rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("batched_kernel", [None, 0])
