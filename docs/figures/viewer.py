@@ -8,6 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from doojax.robots.robot import DUAL_ARM
 from doojax.viewer.app import App
 from doojax.viewer.browser import open_browser, open_page
 from doojax.viewer.page import start_server
@@ -38,13 +39,15 @@ def main(data: Path, prediction: Path, trial: Path, evaluation: Path, runs: Path
             ("through", trial, "N", "View"),
             ("trials", evaluation, "", ""),
             ("failed", evaluation, "NNN", ""),
+            ("beside", evaluation, "NN", "Beside"),
+            ("robot", DUAL_ARM, "", ""),
             ("training", runs, "", ""),
             ("message", broken, "", ""),
         ):
             app.close()
             app = App(server, path)
             pages[""].wait_for_timeout(WAIT)
-            if name == "failed":
+            if name in ("failed", "beside"):
                 app.go(next(iter(server.get_clients().values())), first_failed(app))
             for key in keys:
                 pages[""].keyboard.press(key)
