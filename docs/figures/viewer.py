@@ -15,6 +15,7 @@ from doojax.viewer.page import start_server
 
 OUT = Path("results/viewer")
 WAIT = 2500  # ms until software has drawn all
+LONG = 120_000  # ms until a page has its content
 SIZES = {"": (1280, 800), "_small": (390, 844)}
 
 
@@ -26,6 +27,8 @@ def main(data: Path, prediction: Path, trial: Path, evaluation: Path, runs: Path
         broken = Path(temporary).relative_to(Path.cwd()) / "photographs"
         broken.mkdir()
         (broken / "rope.jpg").write_bytes(b"")
+        robot = broken.with_name(DUAL_ARM.name)
+        robot.write_bytes(DUAL_ARM.read_bytes())
         app = App(server, data)
         pages = {
             name: open_page(browser, server.get_port(), width=width, height=height)
@@ -39,15 +42,16 @@ def main(data: Path, prediction: Path, trial: Path, evaluation: Path, runs: Path
             ("through", trial, "N", "View"),
             ("trials", evaluation, "", ""),
             ("failed", evaluation, "NNN", ""),
-            ("beside", evaluation, "NN", "Beside"),
-            ("robot", DUAL_ARM, "", ""),
+            ("robot", robot, "", ""),
             ("training", runs, "", ""),
             ("message", broken, "", ""),
         ):
             app.close()
             app = App(server, path)
+            for page in pages.values():
+                page.get_by_text(path.name).first.wait_for(timeout=LONG)
             pages[""].wait_for_timeout(WAIT)
-            if name in ("failed", "beside"):
+            if name == "failed":
                 app.go(next(iter(server.get_clients().values())), first_failed(app))
             for key in keys:
                 pages[""].keyboard.press(key)
