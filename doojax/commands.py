@@ -119,6 +119,10 @@ COMMANDS: Commands = {
         "doojax.experiments.regrasping.command:regrasp",
         "two arms bring a fastened rope's end to a place, regrasping as they do",
     ),
+    "regrasp-scenes": (
+        "doojax.experiments.regrasping.scenes:regrasp_scenes",
+        "draw a set of scenes for regrasp",
+    ),
     "online": (
         "doojax.experiments.online.command:online",
         "learn from one's own trials, again and again, and measure",

@@ -111,6 +111,45 @@ def candidates_of(
     return Candidates(np.array(found, int), np.array(places))
 
 
+def alternating_candidates(
+    places_now: Sequence[float], key: Key[Array, ""], count: int, keypoint: float, spread: float = 0.04
+) -> Candidates:
+    """Candidates in which the hand that holds nothing grasps, and the other then lets go.
+
+    That is what threading does: places are near to the keypoint. Where nobody holds the rope, each hand may
+    grasp.
+
+    Args:
+        places_now: of each gripper along the rope, NaN for nothing.
+        key: for places.
+        count: of places for each hand that may grasp: the first is the keypoint.
+        keypoint: along the rope.
+        spread: standard deviation of places; those beyond the rope's ends are reflected.
+
+    Raises:
+        ValueError: for a count below 1, or where every hand holds the rope.
+    """
+    if count < 1:
+        raise ValueError(f"count is {count}, expected 1 or more places for each hand that may grasp")
+    now = np.asarray(places_now, float)
+    free = np.flatnonzero(np.isnan(now))
+    if not free.size:
+        raise ValueError(f"hands hold the rope at {now.tolist()}: to alternate, one must hold nothing")
+    strategies, places = [], []
+    for hand in free.tolist():
+        normal = np.asarray(jax.random.normal(jax.random.fold_in(key, hand), (count,)), float)
+        drawn = keypoint + spread * normal
+        drawn[0] = keypoint
+        drawn = np.abs(drawn)
+        drawn = np.clip(np.where(drawn > 1, 2 - drawn, drawn), 0, 1)
+        for place in drawn.tolist():
+            own = [Strategy.STAY if np.isnan(held) else Strategy.RELEASE for held in now]
+            own[hand] = Strategy.GRASP
+            strategies.append(tuple(own))
+            places.append([place if other == hand else np.nan for other in range(len(now))])
+    return Candidates(np.array(strategies, int), np.array(places, float))
+
+
 def stays_put(candidates: Candidates, places_now: Sequence[float]) -> Bool[np.ndarray, "C"]:
     """Candidates in which a gripper goes back to where it held the rope: they change nothing."""
     near = np.abs(candidates.places - np.asarray(places_now, float)) < SAME_PLACE

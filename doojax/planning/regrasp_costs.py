@@ -53,7 +53,7 @@ def other_signature(
 
 
 def far_from_keypoint(
-    places: Float[Array, "G"], keypoint: float, weights: RegraspWeights = WEIGHTS
+    places: Float[Array, "G"], keypoint: float | Float[Array, ""], weights: RegraspWeights = WEIGHTS
 ) -> Float[Array, ""]:
     """By distance along the rope from the keypoint of what grippers hold; NaN for one that holds nothing."""
     apart, held = jnp.abs(places - keypoint), ~jnp.isnan(places)

@@ -29,14 +29,22 @@ def graspable(scene: Scene, state: SimState) -> SimState:
         ValueError: the scene is one without grasps.
     """
     ids, own = _holds(scene)
-    data = jnp.asarray(build_model(scene).eq_data, state.qpos.dtype).at[ids.ravel(), 3:6].set(0)
+    first = _offset(scene)
+    data = jnp.asarray(build_model(scene).eq_data, state.qpos.dtype)
+    data = data.at[ids.ravel(), first : first + 3].set(0)
     let_go = state.holding.at[own].set(False)
     return eqx.tree_at(
         lambda s: (s.holding, s.model_fields), state, (let_go, state.model_fields | {FIELD: data})
     )
 
 
-def grasped(scene: Scene, state: SimState, hand: int | Int[Array, ""], place: Any) -> SimState:
+def grasped(
+    scene: Scene,
+    state: SimState,
+    hand: int | Int[Array, ""],
+    place: Any,
+    turn: Float[Array, "4"] | None = None,
+) -> SimState:
     """The state in which a hand holds the rope at ``place``, 0 to 1 along it, and nowhere else.
 
     The constraint closes what gap there is within some hundredths of a second: see `check_grasp`.
@@ -46,11 +54,19 @@ def grasped(scene: Scene, state: SimState, hand: int | Int[Array, ""], place: An
         state: of one element, from `graspable`.
         hand: index of the hand; may be traced.
         place: may be traced.
+        turn: of the link in the hand, a unit quaternion: of rigid holds alone, which keep it, see
+            `doojax.simulation.engines.mujoco.MujocoSimulator.turn_in_hand`.
 
     Raises:
-        ValueError: for a scene without grasps or a state that is not `graspable`; outside of jit, for a hand
-            that the scene lacks, or a place beyond the rope's ends.
+        ValueError: for a scene without grasps or a state that is not `graspable`, or a turn where holds are
+            none that keep it, or none where they are; outside of jit, for a hand that the scene lacks, or a
+            place beyond the rope's ends.
     """
+    if (turn is None) != (scene.grasp_hold == "point"):
+        raise ValueError(
+            f"turn is {turn}, and hands of scene {scene.name!r} hold the rope by a "
+            f"{'point, which lets it turn: expected none' if turn is not None else 'rigid hold: give one'}"
+        )
     ids, own = _holds(scene)
     _check_hand(ids, state, hand)
     if not traced(place) and not 0 <= float(place) <= 1:
@@ -62,7 +78,9 @@ def grasped(scene: Scene, state: SimState, hand: int | Int[Array, ""], place: An
     link = jnp.clip(jnp.floor(along).astype(int), 0, links - 1)
     offset = jnp.clip(along - jnp.arange(links) - 0.5, -0.5, 0.5) * scene.rope_part.parameters.length / links
     holds = state.holding[own].reshape(ids.shape).at[hand].set(jnp.arange(links) == link)
-    data = state.model_fields[FIELD].at[jnp.asarray(ids)[hand], 3].set(offset)
+    data = state.model_fields[FIELD].at[jnp.asarray(ids)[hand], _offset(scene)].set(offset)
+    if turn is not None:
+        data = data.at[jnp.asarray(ids)[hand], 6:10].set(jnp.asarray(turn, data.dtype))
     return eqx.tree_at(
         lambda s: (s.holding, s.model_fields),
         state,
@@ -87,7 +105,7 @@ def grasp_places(scene: Scene, state: SimState) -> Float[Array, "G"]:
     _check_hand(ids, state, 0)
     links = ids.shape[1]
     holds = state.holding[own].reshape(ids.shape)
-    offset = state.model_fields[FIELD][ids, 3] * links / scene.rope_part.parameters.length
+    offset = state.model_fields[FIELD][ids, _offset(scene)] * links / scene.rope_part.parameters.length
     place = jnp.where(holds, (jnp.arange(links) + 0.5 + offset) / links, 0).sum(-1)
     return jnp.where(holds.any(-1), place, jnp.nan)
 
@@ -114,6 +132,11 @@ def check_grasp(scene: Scene, seen: Observation, hand: int, place: float, reach:
             f"hand {hand} is {gap:.3g} m from the rope at {place:.3g}, expected at most {reach:g} m: move it "
             "there first"
         )
+
+
+def _offset(scene: Scene) -> int:
+    """The first of the three numbers of an equality's data that say where on a link it acts."""
+    return 0 if scene.grasp_hold == "rigid" else 3
 
 
 def _holds(scene: Scene) -> tuple[np.ndarray, slice]:

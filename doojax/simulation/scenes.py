@@ -5,8 +5,9 @@ them into a model that every engine runs.
 """
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import jax.numpy as jnp
@@ -169,6 +170,7 @@ class Scene:
         default=False, repr=False
     )  # may hands hold the rope anywhere: doojax.simulation.grasps
     attachments: tuple[Attachment, ...] = field(default=(), repr=False)
+    grasp_hold: Literal["point", "rigid"] = field(default="point", repr=False)  # a point lets the rope turn
 
     def __post_init__(self):
         """Refuse a rope without a model, and grippers that hold a link the rope lacks."""
@@ -207,8 +209,11 @@ class Scene:
         Kinds of parts that came later count where there are any, so that data of before keep theirs.
         """
         text = repr(self) + (repr(self.cylinders) if self.cylinders else "") + "grasps" * self.grasps
-        text += repr(self.arms) if self.arms else ""
+        if self.arms:  # what the file says, wherever it is
+            content = hashlib.sha256(Path(self.arms.file).read_bytes()).hexdigest()
+            text += repr(replace(self.arms, file=content))
         text += repr(self.attachments) if self.attachments else ""
+        text += "" if self.grasp_hold == "point" else self.grasp_hold
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @cached_property
@@ -227,7 +232,11 @@ class Scene:
             self.driver,
             *([Cylinders(self.cylinders)] if self.cylinders else []),
             *([Attachments(self.attachments)] if self.attachments else []),
-            *([Grasps(self.driver.bodies, self.driver.anchors, self.links)] if self.grasps else []),
+            *(
+                [Grasps(self.driver.bodies, self.driver.anchors, self.links, self.grasp_hold)]
+                if self.grasps
+                else []
+            ),
         )
 
     @cached_property

@@ -7,10 +7,11 @@ A scene is the first of its stream's attempts that the rule of `drawn_start` acc
 human accept or refuse each. The rule says nothing of topology.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,10 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from doojax.geometry.frames import quaternion_from_yaw
 from doojax.keys import generator, numbered, stream
 from doojax.robots import DUAL_ARM, IkSettings, clearance, dual_arm, inverse_kinematics
 from doojax.robots.robot import Robot
-from doojax.simulation.grasps import graspable, grasped
+from doojax.simulation.grasps import graspable, grasped, rope_point
 from doojax.simulation.laying import laid
 from doojax.simulation.layout import Observation
 from doojax.simulation.rope import RopeModel, RopeParameters
@@ -43,11 +45,23 @@ ARMS = Arms(str(DUAL_ARM), ("left", "right"), BASE)
 TIMESTEP, SUBSTEPS = 0.01, 20  # s; a control period of 0.2 s, the mean of the thesis, whose step is 0.004 s
 MARGIN = 0.005  # m, that arms keep from what they must not touch at the start
 ATTEMPTS = 200
+BESIDE, MOST_TRIED = 0.06, 4  # m from an opening; postures of the first hand that are tried there
 SETTLING = 2.0  # s, in which the rope comes to rest: 500 steps, as in the thesis's code
-Boxes = dict[str, tuple[float, float, float]]
+RULE = (
+    "the first attempt in which the rope is laid clear of obstacles, a tool comes to the goal, the arms are "
+    "free, the rope comes to rest without a fault, the hand that shall hold it does, the keypoint is not at "
+    "the goal, and the task is solvable in principle: a taut rope reaches the goal, through the openings if "
+    "there are any, and at each one hand can hold it before and the other take it behind, clear of all"
+)
 
 
-def armed_scene(name: str, links: int, rope: RopeParameters, obstacles: tuple[Obstacle, ...]) -> Scene:
+def armed_scene(
+    name: str,
+    links: int,
+    rope: RopeParameters,
+    obstacles: tuple[Obstacle, ...],
+    grasp_hold: Literal["point", "rigid"] = "point",
+) -> Scene:
     """Arms, and a rope of so many links whose beginning is fastened to the obstacle ``attach``."""
     return Scene(
         name=name,
@@ -62,6 +76,7 @@ def armed_scene(name: str, links: int, rope: RopeParameters, obstacles: tuple[Ob
         arms=ARMS,
         grasps=True,
         attachments=(Attachment("attach", 0, -1),),
+        grasp_hold=grasp_hold,
     )
 
 
@@ -73,6 +88,8 @@ class Drawn(NamedTuple):
     joints: dict[str, float]  # of the robot at first, rad
     goal: np.ndarray  # m
     start: np.ndarray | None  # where along the rope each hand holds it at first, NaN for one that does not
+    yaws: Mapping[str, float] = MappingProxyType({})  # rad, about z: of obstacles that do not stand straight
+    taken_at_once: bool = False  # do hands take the rope where it is laid, before it comes to rest?
 
 
 @dataclass(frozen=True)
@@ -88,6 +105,7 @@ class ArmTask:
     loops: Callable[
         [dict[str, np.ndarray]], dict[str, np.ndarray]
     ]  # of the skeleton, by the obstacles' places
+    threads: tuple[str, ...] = ()  # loops of the skeleton that the rope is to go through first, in this order
 
     @cached_property
     def robot(self) -> Robot:
@@ -152,9 +170,10 @@ def drawn_start(task: ArmTask, simulator, seed: int, number: int) -> Start:
     """The scene with this number: the first attempt that nothing speaks against.
 
     What speaks against one, in this order: the rope is laid into an obstacle; the goal is farther from where
-    the rope is fastened than a taut rope reaches; neither tool comes to the goal; the arms are not free; the
-    rope is at fault when it has come to rest; the hand that shall hold it does not reach it without touching
-    anything, or it does not hold; the keypoint is at the goal already.
+    the rope is fastened than a taut rope reaches, through the openings that it is to be threaded through;
+    neither tool comes to the goal; at an opening, the hands cannot hold the rope before it and take it behind
+    it; the arms are not free; the rope is at fault when it has come to rest; the hand that shall hold it does
+    not reach it without touching anything, or it does not hold; the keypoint is at the goal already.
 
     Raises:
         RuntimeError: where every attempt is refused, with how often for what.
@@ -179,30 +198,38 @@ def _attempted(
     rope = scene.rope_part.parameters
     count = len(scene.obstacles)
     centres = jnp.array([drawn.centres[one.name] for one in scene.obstacles], jnp.float32).reshape(count, 3)
-    upright = jnp.tile(jnp.array([1.0, 0, 0, 0]), (count, 1))
+    yaws = [drawn.yaws.get(one.name, 0.0) for one in scene.obstacles]
+    turned = jax.vmap(quaternion_from_yaw)(jnp.array(yaws, jnp.float32)).reshape(count, 4)
     joints = np.array(robot.zero)
     for name, angle in drawn.joints.items():
         joints[robot.joints.index(name)] = angle
     qpos = np.zeros(scene.nq)
     qpos[joint_addresses(scene)] = joints
     qpos = laid(scene, qpos, drawn.rope)
-    state = graspable(scene, at_rest(scene, jnp.asarray(qpos, jnp.float32), centres, upright))
+    state = graspable(scene, at_rest(scene, jnp.asarray(qpos, jnp.float32), centres, turned))
     seen = simulator.observation(state)
     obstacles = task.obstacles(state)
     if float(_rope_clearance(scene, simulator.obstacles(state), seen)) < 0:
         return "the rope is laid into an obstacle"
     fastened = drawn.centres[scene.attachments[0].obstacle]
-    if np.linalg.norm(fastened - drawn.goal) > 0.95 * task.keypoint * rope.length:
+    openings = [task.loops(drawn.centres)[name] for name in task.threads]
+    way = np.array([fastened, *(loop[:-1].mean(0) for loop in openings), drawn.goal])
+    if np.linalg.norm(np.diff(way, axis=0), axis=1).sum() > 0.95 * task.keypoint * rope.length:
         return "a taut rope does not reach the goal"
     goal = jnp.asarray(drawn.goal - np.array(BASE), jnp.float32)
     keys = numbered(key, range(4))
     here = jnp.asarray(joints, jnp.float32)
     if not bool(_is_reached(robot, obstacles, goal, here, keys[:2])):
         return "no tool comes to the goal"
+    for loop in openings:
+        if not can_be_threaded(robot, obstacles, loop - np.array(BASE), here, keys[:2]):
+            return "the hands cannot pass the rope through an opening"
     if float(_clear(robot, obstacles, here)) < MARGIN:
         return "the arms are not free"
     still = jnp.zeros((1, round(SETTLING / scene.control_period), len(scene.driver.joints)))  # pyright: ignore
-    state, faults = _settled(simulator, state, still)
+    faults = False
+    if not drawn.taken_at_once:
+        state, faults = _settled(simulator, state, still)
     if faults:
         return "the rope is at fault"
     places = (np.nan, np.nan) if drawn.start is None else tuple(float(one) for one in drawn.start)
@@ -210,16 +237,15 @@ def _attempted(
     for hand, place in enumerate(places):
         if np.isnan(place):
             continue
-        ends = rope_ends(scene, seen)
-        aim = ends[round(place * scene.links)] - jnp.array(BASE)
+        aim = rope_point(scene, seen, place) - jnp.array(BASE)
         tool = robot.tools[hand]
         found, free = reached(robot, tool, obstacles, aim, seen.state.joints, keys[2 + hand])
         if not bool(free.any()):
             return "no hand reaches the rope"
         state = teleported(scene, state, found[int(jnp.argmax(free))])
-        state, faults = _settled(simulator, grasped(scene, state, hand, place), still)
+        state, faults = _settled(simulator, held_at(simulator, state, hand, place), still)
         seen = simulator.observation(state)
-        gap = float(jnp.linalg.norm(rope_ends(scene, seen)[round(place * scene.links)] - seen.hands[hand]))
+        gap = float(jnp.linalg.norm(rope_point(scene, seen, place) - seen.hands[hand]))
         if faults or gap > 0.02:
             return "the hand does not hold the rope"
         if float(_clear(robot, obstacles, seen.state.joints)) < 0:
@@ -245,6 +271,13 @@ def teleported(scene: Scene, state: SimState, joints: Float[Array, "J"]) -> SimS
         state,
         (qpos, state.qvel.at[dofs].set(0), qpos[scene.layout.driven]),
     )
+
+
+def held_at(simulator, state: SimState, hand: int, place: float) -> SimState:
+    """The state in which a hand holds the rope at ``place``; where holds are rigid, turned as it is."""
+    rigid = simulator.scene.grasp_hold == "rigid"
+    turn = jnp.asarray(simulator.turn_in_hand(state, hand, place)) if rigid else None
+    return grasped(simulator.scene, state, hand, place, turn)
 
 
 def _settled(simulator, state: SimState, still: Array) -> tuple[SimState, bool]:
@@ -276,6 +309,28 @@ def _is_reached(robot: Robot, obstacles: Obstacles, goal: Array, joints: Array, 
         bool(reached(robot, tool, obstacles, goal, joints, key)[1].any())
         for tool, key in zip(robot.tools, keys, strict=True)
     )
+
+
+def can_be_threaded(robot: Robot, obstacles: Obstacles, loop: np.ndarray, joints: Array, keys: Array) -> bool:
+    """Can one hand hold something before a loop (base's frame, m) while the other takes it behind?
+
+    Before and behind are `BESIDE` from its middle, by the direction of its field, which is right-handed;
+    all is clear of everything.
+    """
+    middle = loop[:-1].mean(0)
+    normal = np.cross(loop[1] - loop[0], loop[2] - loop[1])
+    offset = BESIDE * normal / np.linalg.norm(normal)
+    before, behind = (jnp.asarray(middle + side * offset, jnp.float32) for side in (-1, 1))
+    chains = [set(robot.chain(link)) for link in robot.tool_links]
+    for first, second in ((0, 1), (1, 0)):
+        found, free = reached(robot, robot.tools[first], obstacles, before, joints, keys[0])
+        own = np.isin(np.arange(len(robot.joints)), sorted(chains[second] - chains[first]))
+        for there in found[np.flatnonzero(np.asarray(free))[:MOST_TRIED]]:
+            low, high = jnp.where(own, robot.low, there), jnp.where(own, robot.high, there)
+            held = eqx.tree_at(lambda r: (r.low, r.high), robot, (low, high))
+            if bool(reached(held, robot.tools[second], obstacles, behind, there, keys[1])[1].any()):
+                return True
+    return False
 
 
 @eqx.filter_jit

@@ -7,6 +7,7 @@ import pytest
 from doojax.keys import stream
 from doojax.planning.regrasp import (
     Strategy,
+    alternating_candidates,
     candidates_of,
     geodesic,
     got_stuck,
@@ -64,6 +65,26 @@ def test_places_begin_with_the_keypoint_and_the_ends():
     assert sampled_places(stream(0, "c"), 1, 0.4).tolist() == [0.4]
     drawn = sampled_places(stream(0, "d"), 2_000, 0.4)[3:]
     assert drawn.min() >= 0 and drawn.max() <= 1 and abs(drawn.mean() - 0.5) < 0.03
+
+
+def test_alternating_the_other_hand_grasps_near_the_keypoint_and_the_holder_lets_go():
+    found = alternating_candidates((0.93, NOTHING), stream(0, "test"), 200, 1.0)
+    assert len(found) == 200 and (found.strategies == [RELEASE, GRASP]).all()
+    assert np.isnan(found.places[:, 0]).all() and found.places[0, 1] == 1.0
+    drawn = found.places[1:, 1]
+    assert drawn.max() <= 1 and abs((1 - drawn).mean() - 0.04 * np.sqrt(2 / np.pi)) < 0.006  # reflected
+    assert alternating_candidates((NOTHING, 0.2), stream(0, "test"), 3, 0.15).places[0].tolist()[0] == 0.15
+    low = alternating_candidates((NOTHING, 0.2), stream(0, "test"), 50, 0.0).places[:, 0]
+    assert low.min() >= 0 and low.max() > 0.02
+
+
+def test_alternating_either_hand_may_begin_and_one_must_be_free():
+    found = alternating_candidates((NOTHING, NOTHING), stream(0, "test"), 3, 0.95)
+    assert found.strategies.tolist() == [[GRASP, STAY]] * 3 + [[STAY, GRASP]] * 3
+    with pytest.raises(ValueError, match="one must hold nothing"):
+        alternating_candidates((0.1, 0.9), stream(0, "test"), 3, 0.95)
+    with pytest.raises(ValueError, match="count is 0"):
+        alternating_candidates((0.1, NOTHING), stream(0, "test"), 0, 0.95)
 
 
 def test_going_back_to_the_same_place_changes_nothing():

@@ -226,3 +226,47 @@ def test_bad_grasps_are_told():
         released(SCENE, bare, 0)
     with pytest.raises(ValueError, match="'nothing' has grasps and no rope"):
         Scene("nothing", None, None, (HAND,), grasps=True)
+
+
+RIGID = replace(SCENE, grasp_hold="rigid", name="rigid")
+
+
+def test_a_rigid_hold_keeps_the_ropes_direction_where_a_point_lets_it_fall():
+    simulator = MujocoSimulator(RIGID, start=no_start)
+
+    def tip(scene, engine):
+        """How far the rope's free end hangs down from a hand that holds its beginning, after a while, m."""
+        qpos = np.array(straight_qpos(SCENE, HEIGHT), np.float32)
+        for hand, place in enumerate((0.0, 0.5)):
+            qpos[SCENE.layout.driven[hand]] = [(place - 0.5) * LENGTH, 0, HEIGHT]
+        state = graspable(scene, at_rest(scene, jnp.asarray(qpos), jnp.zeros((0, 3)), jnp.zeros((0, 4))))
+        turn = jnp.asarray(engine.turn_in_hand(state, 0, 0.0)) if scene.grasp_hold == "rigid" else None
+        state = grasped(scene, state, 0, 0.0, turn)
+        batch = jax.tree.map(lambda leaf: leaf[None], state)
+        last, _ = engine.rollout(batch, jnp.zeros((1, 8, 2, 3)))
+        seen = engine.observations(last)
+        assert grasp_places(scene, jax.tree.map(lambda leaf: leaf[0], last))[0] == pytest.approx(0, abs=1e-6)
+        links = np.asarray(seen.state.points)[0]
+        return HEIGHT - links[-1, 2], links[0] - links[1]
+
+    (low, _), (high, first) = tip(SCENE, SIMULATOR), tip(RIGID, simulator)
+    assert low > 0.4 * LENGTH > high  # the rope bends, but its first link stays
+    assert abs(first[2]) < 0.25 * np.linalg.norm(first)
+
+
+def test_a_turn_is_asked_for_where_holds_keep_it_and_nowhere_else():
+    bare = at_rest(RIGID, jnp.asarray(straight_qpos(SCENE, HEIGHT)), jnp.zeros((0, 3)), jnp.zeros((0, 4)))
+    with pytest.raises(ValueError, match="hands of scene 'rigid' hold the rope by a rigid hold: give one"):
+        grasped(RIGID, graspable(RIGID, bare), 0, 0.5)
+    with pytest.raises(ValueError, match="which lets it turn: expected none"):
+        grasped(SCENE, graspable(SCENE, bare), 0, 0.5, jnp.array([1.0, 0, 0, 0]))
+    assert len({SCENE.digest, replace(RIGID, name=SCENE.name).digest}) == 2
+
+
+def test_what_one_state_holds_another_one_does_not():
+    """Elements of a batch share models with those of earlier ones."""
+    first, second = held(0.27, None), held(0.9, None)
+    after(second, 0.5)
+    once = after(first, 0.5)
+    after(second, 0.5)
+    np.testing.assert_array_equal(after(first, 0.5).qpos, once.qpos)

@@ -1,88 +1,100 @@
 """PlanGrasp: candidates, what comes of them in simulation, what they cost, and motions that lead there.
 
-All candidates that let go of the same hands begin from one simulated release. Each is simulated with all
-others side by side, from joints at which the hand is where it shall grasp: arms are put there (the rope is
-not swept along the way, as in the thesis), the hand grasps, and everything comes to rest.
+All candidates that let go of the same hands at first begin from one simulated release. Each is simulated with
+all others side by side, from joints at which the hand is where it shall grasp: arms are put there (the rope
+is not swept along the way, as in the thesis), the hand grasps, those let go that held on meanwhile, and
+everything comes to rest.
 
 Motions are what takes time. They are searched for in the order of what candidates cost without one, a few
 side by side, until the best has one. What a motion adds to the cost is positive, so no other can be better.
 """
 
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from doojax.experiments.regrasping.pricing import (
+    Clock,
+    blocklisted,
+    fitting,
+    off_goal,
+    priced,
+    signatures_here,
+)
 from doojax.experiments.regrasping.world import REACH, Seen, World, as_jax, joints_of, point_of
 from doojax.planning import regrasp_costs as costs
 from doojax.planning.joint_motion import MotionPlanner, repaired_start
-from doojax.planning.regrasp import candidates_of, stays_put
+from doojax.planning.regrasp import Candidates, stays_put
 from doojax.planning.regrasp_motion import SEARCH, SIDE_BY_SIDE, motions_to, tool_goals
-from doojax.planning.regrasp_signature import signatures_of
-from doojax.robots import Robot
-from doojax.simulation.grasps import grasped, released
+from doojax.simulation.grasps import released
 from doojax.simulation.state import SimState
 from doojax.tasks.arms import teleported
 from doojax.topology.signatures import Blocklist, Signature
-from doojax.topology.skeletons import Skeleton
 
 
 @dataclass(frozen=True)
 class PlannerSettings:
     """How many candidates."""
 
-    places: int = 20  # along the rope, for each combination of strategies, as in the thesis's code
+    # along the rope, for each combination of strategies; by default 20, and 10 of threading, as in the
+    # thesis's code
+    places: int | None = None
     weights: costs.RegraspWeights = costs.WEIGHTS
 
     def __post_init__(self):
         """Refuse what plans nothing."""
-        if not 1 <= self.places <= 1000:
+        if self.places is not None and not 1 <= self.places <= 1000:
             raise ValueError(f"places is {self.places}, expected 1 to 1,000")
 
-
-@eqx.filter_jit
-def signatures_here(
-    robot: Robot, joints: Array, rope: Array, places: Array, fastened: Array, skeleton: Skeleton
-) -> Signature:
-    """`signatures_of`, compiled."""
-    return signatures_of(robot, joints, rope, places, fastened, skeleton)
+    def count(self, threading: bool) -> int:
+        """How many places there are."""
+        return self.places or (10 if threading else 20)
 
 
-def signature_now(world: World, state: SimState) -> Signature:
-    """Of one state."""
-    seen = world.seen_one(state)
-    places = np.array(world.places(state), np.float32)
-    many = signatures_here(
-        world.robot,
-        jnp.asarray(seen.joints[None]),
-        jnp.asarray(seen.rope[None]),
-        jnp.asarray(places[None]),
-        jnp.asarray(world.fastened),
-        world.skeleton,
-    )
-    return jax.tree.map(lambda leaf: leaf[0], many)
+@dataclass(frozen=True)
+class Question:
+    """What is to be planned."""
+
+    candidates: Candidates
+    keypoint: float  # along the rope, that hands are to be near to
+    goal: Signature | None = None  # that is wanted
+    holds_on: bool = False  # do hands let go only when the other has grasped?
+    ahead: Callable[[SimState], float] | None = None  # what control from a state then comes to, costs
 
 
 class Plans:
     """One planning: candidates, and what is known of each. Lengths in the base's frame, m."""
 
-    def __init__(self, world: World, state: SimState, key: Key[Array, ""], settings: PlannerSettings):
-        """Draw candidates in a state and simulate what comes of each."""
-        self._world, self._key, self._settings = world, key, settings
+    def __init__(
+        self,
+        world: World,
+        state: SimState,
+        question: Question,
+        key: Key[Array, ""],
+        settings: PlannerSettings,
+    ):
+        """Simulate what comes of each candidate in a state."""
+        self._world, self._key, self._settings, self.question = world, key, settings, question
         self._clock = Clock()
         self.now = world.places(state)
-        self.candidates = candidates_of(self.now, key, settings.places, world.task.keypoint)
+        self.candidates = question.candidates
+        self._width = settings.count(bool(world.task.threads))
+        let_go = self.candidates.let_go
+        # those that let go before anything moves, and those that do once the other hand has grasped
+        self.let_go_first = let_go & self.candidates.moving if question.holds_on else let_go
+        self.let_go_last = let_go & ~self.let_go_first
         self.before = world.seen_one(state)
         count = len(self.candidates)
         self.why = [""] * count  # it cannot be done
         self.waypoints = [self.before.joints[None]] * count  # of each motion, [W, J]
         self.searched = ~self.candidates.moving.any(1)  # is its motion known?
         self.after = Seen(*(np.repeat(values[None], count, 0) for values in self.before))
+        self.states = [state] * count  # that each leads to
+        self._foreseen: dict[int, float] = {}
         for row in np.flatnonzero(stays_put(self.candidates, self.now)):
             self.why[row] = "the hand goes back to where it was"
         self._release(state)
@@ -109,9 +121,37 @@ class Plans:
     def costs(self, blocklist: Blocklist) -> Float[np.ndarray, "C"]:
         """Equation 5.3 as far as it is known; what cannot be done costs that alone."""
         weights = self._settings.weights
-        blocked = np.asarray(_blocklisted(self.signatures, blocklist, weights))
+        blocked = np.asarray(blocklisted(self.signatures, blocklist, weights))
         known = sum(self.terms.values()) + blocked
         return np.where(self.feasible, known, weights.infeasible)
+
+    def foreseen(self) -> Float[np.ndarray, "C"]:
+        """What control then comes to, of all candidates that have a motion, by `Question.ahead`.
+
+        Raises:
+            ValueError: the question has nothing that says so.
+        """
+        if self.question.ahead is None:
+            raise ValueError("this question looks at no control ahead: give it one that does")
+        while wanted := [row for row in np.flatnonzero(self.feasible) if not self.searched[row]]:
+            self._search([int(row) for row in wanted[:SIDE_BY_SIDE]])
+        self._price()
+        self._clock.lap("price")
+        for row in np.flatnonzero(self.feasible).tolist():
+            if row not in self._foreseen:
+                self._foreseen[row] = self.question.ahead(self.states[row])
+        self._clock.lap("ahead")
+        return np.array([self._foreseen.get(row, np.inf) for row in range(len(self.candidates))])
+
+    def known_ahead(self) -> dict[int, float]:
+        """What `foreseen` found that is finite, by candidate."""
+        return {row: value for row, value in self._foreseen.items() if np.isfinite(value)}
+
+    def fits(self) -> Bool[np.ndarray, "C"]:
+        """Which candidates lead to the signature that is wanted; all where none is."""
+        if self.question.goal is None:
+            return np.ones(len(self.candidates), bool)
+        return np.asarray(fitting(self.signatures, self.question.goal))
 
     def best(self, costs: Callable[["Plans"], Float[np.ndarray, "C"]]) -> int | None:
         """The candidate with the least of ``costs(plans)`` that has a motion; None if there is none."""
@@ -135,8 +175,8 @@ class Plans:
         return list(groups.values())
 
     def _release(self, state: SimState) -> None:
-        """What is left when hands have let go, once for each set of them."""
-        let_go = self.candidates.let_go.tolist()
+        """What is left when hands have let go at first, once for each set of them."""
+        let_go = self.let_go_first.tolist()
         sets = list(dict.fromkeys(map(tuple, let_go)))
         freed = []
         for own in sets:
@@ -154,13 +194,14 @@ class Plans:
             self._resting[own] = one
 
     def _from(self, row: int) -> SimState:
-        return self._resting[tuple(self.candidates.let_go[row].tolist())]
+        return self._resting[tuple(self.let_go_first[row].tolist())]
 
     def _begin(self, row: int) -> tuple[str, bool, Float[np.ndarray, "J"]]:
         """A candidate's tool, whether its arm moves alone, and where its motion begins."""
         robot, candidates = self._world.robot, self.candidates
         (hand,) = np.flatnonzero(candidates.moving[row])
-        stays = bool((candidates.holding[row] & ~candidates.moving[row]).any())
+        held = ~np.isnan(np.array(self.now)) & ~self.let_go_first[row]
+        stays = bool((held & ~candidates.moving[row]).any())
         joints = np.clip(
             joints_of(self._world, self._from(row)), np.asarray(robot.low), np.asarray(robot.high)
         )
@@ -173,7 +214,7 @@ class Plans:
         rope = world.seen_one(self._from(rows[0])).rope
         hand = world.robot.tool(tool)
         aims = [point_of(rope, self.candidates.places[row, hand]) for row in rows]
-        aims += [aims[-1]] * (self._settings.places - len(aims))
+        aims += [aims[-1]] * (self._width - len(aims))
         goals, free = tool_goals(
             world.robot,
             tool,
@@ -201,12 +242,13 @@ class Plans:
             one = self._from(row)
             for hand in np.flatnonzero(self.candidates.moving[row]):
                 one = teleported(self._world.scene, as_jax(one), jnp.asarray(self.waypoints[row][-1]))
-                place = float(self.candidates.places[row, hand])
-                one = grasped(self._world.scene, one, int(hand), place)
+                one = self._world.held(one, int(hand), float(self.candidates.places[row, hand]))
+            for hand in np.flatnonzero(self.let_go_last[row]):
+                one = released(self._world.scene, as_jax(one), int(hand))
             states.append(one)
         after, faulty = self._world.settled(states)
         for row, one, fault in zip(rows, after, faulty, strict=True):
-            seen = self._world.seen_one(one)
+            seen, self.states[row] = self._world.seen_one(one), one
             for known, new in zip(self.after, seen, strict=True):
                 known[row] = new
             held = [
@@ -269,9 +311,9 @@ class Plans:
         self.signature_before, self.signatures = (
             jax.tree.map(lambda leaf, s=s: leaf[s], many) for s in (0, slice(1, None))
         )
-        geodesics, ropes = _priced(
+        geodesics, ropes = priced(
             jnp.asarray(places, jnp.float32),
-            world.task.keypoint,
+            jnp.asarray(self.question.keypoint),
             jnp.asarray(self.before.rope),
             jnp.asarray(self.after.rope),
             weights,
@@ -285,37 +327,5 @@ class Plans:
             "robot": np.array(ways),
             "rope": np.asarray(ropes, float),
         }
-
-
-@eqx.filter_jit
-def _priced(
-    places: Float[Array, "C G"],
-    keypoint: float,
-    before: Float[Array, "N 3"],
-    after: Float[Array, "C N 3"],
-    weights: costs.RegraspWeights,
-) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
-    geodesics = jax.vmap(lambda own: costs.far_from_keypoint(own, keypoint, weights))(places)
-    return geodesics, jax.vmap(lambda own: costs.rope_motion(before, own, weights))(after)
-
-
-@eqx.filter_jit
-def _blocklisted(
-    signatures: Signature, blocklist: Blocklist, weights: costs.RegraspWeights
-) -> Float[Array, "C"]:
-    return jax.vmap(lambda one: costs.blocklisted(one, blocklist, weights))(signatures)
-
-
-class Clock:
-    """Seconds by name."""
-
-    def __init__(self):
-        """Start."""
-        self.seconds: dict[str, float] = {}
-        self._since = time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        """Since the last one."""
-        now = time.perf_counter()
-        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._since
-        self._since = now
+        if self.question.goal is not None:
+            self.terms["goal"] = np.asarray(off_goal(self.signatures, self.question.goal, weights), float)

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 
 from doojax.robots import Robot
 from doojax.simulation.engines.mujoco import MujocoSimulator
-from doojax.simulation.grasps import grasp_places, grasped, released
+from doojax.simulation.grasps import grasp_places, released
 from doojax.simulation.parts.arms import LEAD
 from doojax.simulation.state import Fault, SimState
-from doojax.tasks.arms import BASE, ArmTask, Start, joint_addresses, rope_ends
+from doojax.tasks.arms import BASE, ArmTask, Start, held_at, joint_addresses, rope_ends
 from doojax.topology.skeletons import Skeleton
 from doojax.types import Obstacles
 
@@ -71,6 +71,17 @@ class World:
     def places(self, state: SimState) -> tuple[float, ...]:
         """Where along the rope each hand holds it; NaN for one that does not."""
         return tuple(float(place) for place in grasp_places(self.scene, state))
+
+    def held(self, state: SimState, hand: int, place: float) -> SimState:
+        """The state in which a hand holds the rope at a place."""
+        return held_at(self.simulator, as_jax(state), hand, place)
+
+    def after(self, state: SimState, action: Float[np.ndarray, "A"], seconds: float) -> tuple[SimState, bool]:
+        """The state after an action of so many seconds, and whether the simulation broke down."""
+        periods = round(seconds / self.scene.control_period)
+        actions = jnp.asarray(np.tile(np.asarray(action, np.float32), (1, periods, 1)))
+        batch, trajectory = self.simulator.rollout(stacked([state]), actions)
+        return unstacked(batch)[0], bool(np.asarray(trajectory.faults & BROKEN).any())
 
     def settled(self, states: list[SimState]) -> tuple[list[SimState], Bool[np.ndarray, "K"]]:
         """States at rest, arms commanded to stay; and which are at fault. All side by side."""
@@ -194,7 +205,7 @@ class Executed:
         seen = self.world.seen_one(self.state)
         gap = float(np.linalg.norm(point_of(seen.rope, place) - seen.hands[hand]))
         if gap <= REACH:
-            self.state = grasped(self.world.scene, as_jax(self.state), hand, place)
+            self.state = self.world.held(self.state, hand, place)
         return gap
 
 
@@ -218,9 +229,7 @@ def repeated(world: World, first: SimState, actions: Any, held: Any) -> Float[np
             if np.isnan(place) and not np.isnan(now):
                 execution.release(hand)
             elif not np.isnan(place) and not np.isclose(place, now, atol=1e-6):
-                execution.state = grasped(
-                    world.scene, as_jax(execution.state), hand, float(np.float32(place))
-                )
+                execution.state = world.held(execution.state, hand, float(np.float32(place)))
         execution.act(action)
     return np.stack(execution.ropes)
 

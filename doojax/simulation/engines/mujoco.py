@@ -17,7 +17,9 @@ from mujoco.rollout import Rollout
 
 from doojax.parts import processors
 from doojax.simulation.build import build_model
+from doojax.simulation.grasps import FIELD as GRASPS
 from doojax.simulation.layout import Layout, Observation, look_every, observe, stretch, watch
+from doojax.simulation.rope import link_name
 from doojax.simulation.scenes import Scene, obstacles_at
 from doojax.simulation.state import Fault, SimState, Start, find_faults
 from doojax.types import Obstacles, Trajectory
@@ -71,6 +73,20 @@ class MujocoSimulator:
         coordinates = np.concatenate([host.qpos, host.qvel], axis=1)[:, self.layout.coordinates]
         looked = _single(np.stack(looks)).reshape(len(looks), -1, 3)
         return _seen(self.scene, self.layout, looked, coordinates, _single(np.stack(sizes)))
+
+    def turn_in_hand(self, state: SimState, hand: int, place: float) -> Float[np.ndarray, "4"]:
+        """How the link at ``place`` (0 to 1 along the rope) is turned in a hand's frame: a unit quaternion.
+
+        For rigid holds, see `doojax.simulation.grasps.grasped`.
+        """
+        self._look(self._load(0, jax.tree.map(np.asarray, state)), np.asarray(state.qpos))
+        link = min(int(place * self.scene.links), self.scene.links - 1)
+        names = self.scene.driver.bodies[hand], link_name(link)
+        first, second = (self._data.xquat[self._model.body(name).id] for name in names)
+        back, found = np.zeros(4), np.zeros(4)
+        mujoco.mju_negQuat(back, first)
+        mujoco.mju_mulQuat(found, back, second)
+        return found.astype(np.float32)
 
     def obstacles(self, state: SimState) -> Obstacles:
         """The primitives of the obstacles where they are."""
@@ -133,7 +149,10 @@ class MujocoSimulator:
     def _load(self, index: int, state: SimState) -> mujoco.MjModel:
         """A model of batch element ``index``, with what varies by element written into it."""
         # another rope gets a model of its own: what is written into the others, every call writes anew
-        model = copy.copy(self._model) if state.model_fields else self._models[index]
+        own = bool(set(state.model_fields) - {GRASPS})
+        model = copy.copy(self._model) if own else self._models[index]
+        if not own:
+            model.eq_data[:] = self._model.eq_data
         write_state(model, self.layout, state)
         return model
 

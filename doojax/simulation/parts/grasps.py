@@ -1,11 +1,12 @@
 """Holds of any hand on any place of the rope, which data switch on and off and move along it.
 
 There is an equality for each hand and link, of which at most one a hand is active. In MuJoCo C one that is
-not active costs nothing; in MJX each is three rows of the constraints, active or not.
+not active costs nothing; in MJX each is three rows of the constraints, active or not, six where holds are
+rigid.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import mujoco
 import numpy as np
@@ -16,6 +17,9 @@ from doojax.simulation.rope import link_name
 if TYPE_CHECKING:
     from doojax.simulation.scenes import Scene
 
+# Of a rigid hold, m/rad: an angle counts as much as so many metres. As in the thesis's threading.
+TORQUE_SCALE = 0.1
+
 
 @dataclass(frozen=True)
 class Grasps(Part):
@@ -24,15 +28,22 @@ class Grasps(Part):
     hands: tuple[str, ...]
     anchors: tuple[tuple[float, float, float], ...]  # where on those bodies, m
     links: int
+    hold: Literal["point", "rigid"] = "point"
 
     def add(self, spec: mujoco.MjSpec, scene: "Scene") -> None:
         """Add an inactive equality for each hand and link."""
         for name, (hand, link) in zip(self._names(), self._pairs(), strict=True):
-            equality = spec.add_equality(
-                name=name, type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY
+            rigid = self.hold == "rigid"
+            kind = mujoco.mjtEq.mjEQ_WELD if rigid else mujoco.mjtEq.mjEQ_CONNECT
+            equality = spec.add_equality(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_BODY)
+            data, anchor = (
+                np.zeros_like(equality.data),
+                dict(zip(self.hands, self.anchors, strict=True))[hand],
             )
-            data = np.zeros_like(equality.data)
-            data[:3] = dict(zip(self.hands, self.anchors, strict=True))[hand]
+            if rigid:  # on the link, on the hand, how they are turned, and the torque's scale
+                data[3:6], data[6:10], data[10] = anchor, (1, 0, 0, 0), TORQUE_SCALE
+            else:  # on the hand, on the link
+                data[:3] = anchor
             equality.data = data
             equality.name1, equality.name2, equality.active = hand, link_name(link), False
 
