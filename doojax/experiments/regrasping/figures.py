@@ -74,7 +74,7 @@ def _of_plannings(tags: dict, trials: Sequence[Trial]) -> list[Row]:
 def _row(
     metric: str,
     tags: dict,
-    values: Sequence[float] | np.ndarray,
+    values: Sequence | np.ndarray,
     unit: str,
     statistic: Callable[[np.ndarray], float] = np.mean,
 ) -> Row:

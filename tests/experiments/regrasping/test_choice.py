@@ -30,6 +30,11 @@ class HandMade:
         blocked = np.asarray(jax.vmap(blocklist.contains)(self.signatures))
         return 30 * np.abs(self.candidates.places[:, 0] - 1) + WEIGHTS.blocklist * blocked
 
+    def fits(self):
+        raise NotImplementedError  # no signature is wanted
+
+    foreseen = fits  # nor does anything look ahead
+
     def best(self, costs):
         values = np.where(self._feasible, costs(self), np.inf)
         return int(np.argmin(values)) if self._feasible.any() else None

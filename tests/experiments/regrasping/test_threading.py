@@ -9,6 +9,7 @@ import pytest
 
 from doojax.experiments.regrasping import threading as module
 from doojax.experiments.regrasping.control import along_field
+from doojax.experiments.regrasping.run import RegraspSettings, Run
 from doojax.experiments.regrasping.threading import (
     Threading,
     is_penetrated,
@@ -17,7 +18,7 @@ from doojax.experiments.regrasping.threading import (
     subgoals,
 )
 from doojax.topology.linking import linking_number
-from doojax.topology.signatures import Signature
+from doojax.topology.signatures import Blocklist, Signature
 from doojax.topology.skeletons import rectangle
 
 # a frame of 20 by 10 cm about the x axis, whose field runs along +x
@@ -85,7 +86,7 @@ def test_points_count_by_how_near_they_are_to_the_keypoint():
 NOTHING = float("nan")
 
 
-class Played:
+class Played(Run):
     """A run whose tip, signature and plans are given: what algorithm 7 does with them is told by ``said``."""
 
     def __init__(self, method="signature", held=(NOTHING, 0.93), tip=(0.01, 0, 1), after=(1,), chosen=0):
@@ -93,16 +94,17 @@ class Played:
         task = SimpleNamespace(threads=("a",), keypoint=1.0)
         base = np.array(module.BASE)
         skeleton = SimpleNamespace(names=names, loops=np.array([LOOP - base]))
-        self.world = SimpleNamespace(task=task, skeleton=skeleton)
+        self.world = SimpleNamespace(task=task, skeleton=skeleton)  # pyright: ignore
         self.method, self._held, self._tip, self._after, self._chosen = method, held, tip, after, chosen
-        self.settings = SimpleNamespace(planner=SimpleNamespace(count=lambda threading: 10))
-        self.signature, self.blocklist, self.goal = Signature.of([(0,)], 1), None, np.ones(3)
+        self.settings = RegraspSettings()
+        self.signature, self.goal = Signature.of([(0,)], 1), np.ones(3)
+        self.blocklist = Blocklist.empty(2, like=self.signature)
         self.said: list = []
 
     def places(self):
         return self._held
 
-    def planned(self, candidates, keypoint, aim, key, *, goal, holds_on):
+    def planned(self, candidates, keypoint, aim, key, *, goal=None, holds_on=False):  # pyright: ignore
         self.said.append((round(keypoint, 6), goal, holds_on, len(candidates), aim.loop is None))
         return None
 
@@ -122,7 +124,7 @@ def played(monkeypatch):
     def inner(**given):
         run = Played(**given)
         monkeypatch.setattr(module, "choose_threading", lambda *_, must_fit: run._chosen)
-        return run, Threading(run)  # pyright: ignore[reportArgumentType]
+        return run, Threading(run)
 
     return inner
 
