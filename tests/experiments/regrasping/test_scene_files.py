@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
+from doojax.experiments.regrasping import scenes as module
 from doojax.experiments.regrasping.scenes import (
-    COUNTS,
     arm_scene_file,
     load_arm_scenes,
     regrasp_scenes,
@@ -71,14 +71,9 @@ def test_wrong_requests_are_refused(tmp_path):
         regrasp_scenes("pulling", out=tmp_path / "none.scenes", count=0)
 
 
-@pytest.mark.parametrize("name", list(COUNTS))
-def test_the_scenes_that_come_along_are_those_of_the_thesis_in_number(name):
-    task = task_of(name)
-    found = load_arm_scenes(arm_scene_file(None, task), task)
-    assert len(found) == COUNTS[name]
-    seen = np.asarray(found.states.obstacle_position).reshape(len(found), -1)
-    starts = np.concatenate([seen, np.asarray(found.states.qpos)], axis=1)
-    assert len(np.unique(starts.round(6), axis=0)) == len(found)
-    assert np.isfinite(starts).all() and np.isfinite(found.goals).all()
-    held = ~np.isnan(found.places)
-    assert (held.sum(1) == (0 if name == "pulling" else 1)).all()
+def test_without_a_file_of_ones_own_the_one_that_comes_along_is_taken_if_one_does(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "FOLDER", tmp_path)
+    assert arm_scene_file(None, scenes.TASK) is None
+    (tmp_path / "hanging.scenes").touch()
+    assert arm_scene_file(None, scenes.TASK) == tmp_path / "hanging.scenes"
+    assert arm_scene_file(tmp_path / "own.scenes", scenes.TASK) == tmp_path / "own.scenes"
