@@ -131,7 +131,7 @@ def scenes_of(task: ArmTask, seed: int, starts: list[Start]) -> ArmScenes:
         dict(refused.most_common()),
     )
     states = jax.tree.map(
-        lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *[one.state for one in starts]
+        lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *[one.state for one in starts]
     )
     goals, places = (np.array([getattr(one, name) for one in starts], float) for name in ("goal", "places"))
     return ArmScenes(header, states, goals, places)
@@ -192,8 +192,9 @@ def load_arm_scenes(path: Path, task: ArmTask) -> ArmScenes:
         require_arrays(stored, expected)
     except ValueError as error:
         raise ValueError(f"{path} is not {what} that can be used: {error}") from error
-    state = {name: np.asarray(stored[f"start/{name}"]) for name in STATE}
-    states = SimState(**state, faults=np.zeros(count, np.int32), model_fields={FIELD: model})  # pyright: ignore
+    state = {name: jnp.asarray(stored[f"start/{name}"]) for name in STATE}
+    faults = jnp.zeros(count, jnp.int32)
+    states = SimState(**state, faults=faults, model_fields={FIELD: jnp.asarray(model)})
     return ArmScenes(header, states, stored["goal"], stored["places"])
 
 

