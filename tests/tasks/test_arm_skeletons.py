@@ -55,6 +55,7 @@ def rack_curves(drawn):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_the_racks_loops_are_its_six_handles():
     drawn, hand, boxes = skeletons(
         untangling(), lambda name: name.startswith(("rack", "post")), resolution=0.04
