@@ -76,7 +76,7 @@ def _row(
     tags: dict,
     values: Sequence | np.ndarray,
     unit: str,
-    statistic: Callable[[np.ndarray], float] = np.mean,
+    statistic: Callable[..., np.ndarray] = np.mean,
 ) -> Row:
     found = bootstrap(np.asarray(values, float), statistic)
     return row(metric, tags, found.value, unit, found.low, found.high, found.n)

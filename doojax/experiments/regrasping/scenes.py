@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -145,11 +146,12 @@ def save_arm_scenes(path: Path, scenes: ArmScenes) -> None:
     """
     _check_name(path)
     about = {"format": FORMAT, "version": VERSION, **vars(scenes.header)}
-    arrays = {f"start/{name}": np.asarray(getattr(scenes.states, name)) for name in STATE}
+    arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(about).encode(), np.uint8)}
+    arrays |= {f"start/{name}": np.asarray(getattr(scenes.states, name)) for name in STATE}
     arrays |= {"model/" + FIELD: np.asarray(scenes.states.model_fields[FIELD])}
     arrays |= {"goal": scenes.goals, "places": scenes.places}
     with whole_file(path) as file:
-        np.savez_compressed(file, header=np.frombuffer(json.dumps(about).encode(), np.uint8), **arrays)
+        np.savez_compressed(file, **arrays)
 
 
 def load_arm_scenes(path: Path, task: ArmTask) -> ArmScenes:
