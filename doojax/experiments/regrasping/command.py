@@ -85,7 +85,7 @@ def regrasp(
     command = command_line(regrasp, locals())
     check_seed(seed)
     task = task_of(environment)
-    named = tuple(dict.fromkeys(check_method(task, one) for one in methods))
+    named: tuple[Method, ...] = tuple(dict.fromkeys([check_method(task, one) for one in methods]))
     if not named:
         raise ValueError(f"no methods were named, expected some of {', '.join(methods_of(task))}")
     file = arm_scene_file(scene_set, task)
@@ -163,7 +163,8 @@ def run_missing(
     with progress_bar(console) as progress:
         bar = progress.add_task(task.name, total=sum(counts.values()), note="")
         for number in range(max(counts.values())):
-            for method in [one for one, count in counts.items() if number < count]:
+            wanted: list[Method] = [one for one, count in counts.items() if number < count]
+            for method in wanted:
                 file = record_file(out, method, number)
                 if not file.exists():
                     trial = run_trial(task, simulator, scenes.start(number), method, seed, number, settings)

@@ -140,7 +140,7 @@ class ArmCost(eqx.Module):
         """The term's sum over a trajectory."""
         if self.name == "smoothness":
             return THESIS_WEIGHTS["smoothness"] * smoothness(tried, controls)
-        if self.name == "along_field":
+        if self.name == "along_field" and self.loop is not None:
             rope = jax.vmap(lambda points: links_meet(points, self.pitch))(tried.seen.points)
             rope = jnp.concatenate([self.begin[None], rope])
             return ALONG_FIELD * along_field(rope, self.keypoint, self.loop)
