@@ -21,6 +21,8 @@ NumberKind = Literal["float", "int", "bool"]
 
 _PLACE = re.compile(r"\.([^.\[]+)|\[(\d+)\]")
 
+MOST_SAID = 300  # characters of what another library found: it may quote the damaged bytes
+
 
 def read_json[T](file: Path, kind: Callable[..., T], what: str) -> T:
     """The content of a JSON file (UTF-8, with or without a byte order mark).
@@ -86,7 +88,7 @@ def _opened(file: Path, what: str) -> Iterator[np.lib.npyio.NpzFile]:
         raise
     except Exception as error:  # damaged bytes end anywhere in zipfile, zlib and numpy
         problem = " ".join(f"{type(error).__name__}: {error}".splitlines())
-        raise ValueError(f"{file} is not {what} ({problem})") from error
+        raise ValueError(f"{file} is not {what} ({problem[:MOST_SAID]})") from error
 
 
 def require_arrays(

@@ -79,3 +79,15 @@ def test_archives_that_are_none(tmp_path):
         file.write_bytes(damaged)
         with pytest.raises(ValueError, match=r"a\.npz is not a record \("):
             read_arrays(file, "a record")
+
+
+def test_damaged_bytes_are_not_quoted_at_length(tmp_path):
+    """The length of a name within the archive is damaged: zipfile says what it took for the name."""
+    file = tmp_path / "one.npz"
+    np.savez(file, header=np.frombuffer(b'{"x": 1}', np.uint8), numbers=np.zeros(4000))
+    content = bytearray(file.read_bytes())
+    content[27] = 6  # the high byte of the first name's length
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match="is not a record") as raised:
+        read_arrays(file, "a record")
+    assert len(str(raised.value)) < 1000
