@@ -61,8 +61,7 @@ def regrasp(
 
     Args:
         environment: pulling (a hose on the floor), untangling (a cable in a rack) or threading (a cable
-        through
-            three fixtures).
+            through three fixtures).
         out: the folder of the trials' records; new, empty, or the same trials unfinished.
         methods: of pulling and untangling some of signature, always_blocklist, no_signature, tamp5, tamp50,
             nearest; of threading some of signature, no_signature, tamp5, tamp50, wang, nearest. Others are
@@ -78,9 +77,9 @@ def regrasp(
 
     Raises:
         ValueError: for an unknown name, no methods or scenes, more scenes than there are, or a folder that
-        holds
-            something else.
-        BlockingIOError: another process runs trials of one of the methods into the same folder.
+            holds something else.
+        BlockingIOError: another process draws scenes into the same folder, or runs trials of one of the
+            methods.
     """
     command = command_line(regrasp, locals())
     check_seed(seed)
@@ -88,26 +87,31 @@ def regrasp(
     named: tuple[Method, ...] = tuple(dict.fromkeys([check_method(task, one) for one in methods]))
     if not named:
         raise ValueError(f"no methods were named, expected some of {', '.join(methods_of(task))}")
-    file = arm_scene_file(scene_set, task)
+    file, given = arm_scene_file(scene_set, task), None
     if file is None:
-        counts = counts_of(named, scenes, COUNTS[task.name])
         file, which = out / DRAWN, f"drawn with seed {seed}"
-        if not file.exists() or len(load_arm_scenes(file, task)) < max(counts.values()):
-            regrasp_scenes(task.name, out=file, count=max(counts.values()), seed=seed)
-        drawn = load_arm_scenes(file, task)
     else:
-        drawn, which = load_arm_scenes(file, task), file_digest(file)[:16]
-        counts = counts_of(named, scenes, len(drawn))
+        given, which = load_arm_scenes(file, task), file_digest(file)[:16]
+    counts = counts_of(named, scenes, COUNTS[task.name] if given is None else len(given))
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    with alone_in(out):
+        claim(out, CONFIG, config_of(task, which, seed, settings), "folder of trials")
+        drawn = given or drawn_scenes(file, task, max(counts.values()), seed)
+        note_command(out, command, seed, digests({"scenes": file}))
     with ExitStack() as stack:
         for one in named:
             stack.enter_context(alone_in(out / one))
-        claim(out, CONFIG, config_of(task, which, seed, settings), "folder of trials")
-        note_command(out, command, seed, digests({"scenes": file}))
         trials = run_missing(task, drawn, counts, seed, settings, out, console)
     rows = rows_of(environment, trials)
     publish_rows(publish, command=command, seed=seed, rows=rows, inputs=digests({"scenes": file}))
     show(rows, json)
+
+
+def drawn_scenes(file: Path, task: ArmTask, count: int, seed: int) -> ArmScenes:
+    """At least so many scenes: those in the file, or new ones into it, which begin with the same."""
+    if not file.exists() or len(load_arm_scenes(file, task)) < count:
+        regrasp_scenes(task.name, out=file, count=count, seed=seed)
+    return load_arm_scenes(file, task)
 
 
 def counts_of(methods: tuple[Method, ...], scenes: tuple[int, ...], most: int) -> dict[Method, int]:

@@ -10,12 +10,13 @@ import numpy as np
 
 from doojax.experiments.online.reliability import ReliabilityLearner, ReliabilitySettings
 from doojax.experiments.online.runner import Setting, run_seed
-from doojax.experiments.trials.records import Look, TrialRecord
+from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.scenes import draw_scenes
 from doojax.tasks.base import observed
 from doojax.tasks.toy import HEIGHT, LINKS, PITCH
 from tests.experiments.trials.toy_trials import PLANNING, SETTINGS, SIMULATOR, TOY
 from tests.planning.problems import Towed, walls
+from tests.records import record_of
 
 SMALL = ReliabilitySettings(steps=60, batch_size=32, learning_rate=1e-2, capacity=2048, attempts=64)
 ERROR = 0.01  # m
@@ -89,19 +90,6 @@ def record(steps: int, *, stops_after: int | None = None, away: float = 0.0) -> 
     behind = np.stack([np.arange(LINKS - 1, -1, -1.0) * PITCH, *np.zeros((2, LINKS))], -1)
     points = (hand[:, None] - behind[None]).astype(np.float32)
     actions = np.tile(np.array([STEP, 0, 0], np.float32), (steps, 1, 1))
-    return TrialRecord(
-        task="toy",
-        method="none",
-        seed=0,
-        look=Look(0.01),
-        obstacles=walls(),
-        goal=np.zeros(3),
-        goal_radius=0.05,
-        goal_point=0,
-        points=points,
-        grippers=points[:, -1:],
-        plans=(),
-        events=(),
-        reached=False,
-        replay={"actions": actions},
+    return record_of(
+        points, method="none", obstacles=walls(), grippers=points[:, -1:], replay={"actions": actions}
     )

@@ -14,11 +14,12 @@ from doojax.experiments.regrasping.command import (
 )
 from doojax.experiments.regrasping.figures import rows_of
 from doojax.experiments.regrasping.run import RegraspSettings, Seconds
-from doojax.experiments.regrasping.scenes import scenes_of
+from doojax.experiments.regrasping.scenes import save_arm_scenes, scenes_of
 from doojax.experiments.regrasping.trial import Trial
-from doojax.experiments.trials.records import Event, Look, TrialRecord
+from doojax.experiments.trials.records import Event
 from doojax.simulation.scenes import obstacles_at
 from tests.experiments.regrasping import scenes
+from tests.records import record_of
 
 SECONDS = Seconds(60.0, 90.0, 30.0, [{"planning": 90.0}])
 REGRASP = {
@@ -33,18 +34,12 @@ REGRASP = {
 def trial(reached: bool, method: str = "signature", seconds: Seconds = SECONDS) -> Trial:
     """A trial of two states."""
     state = scenes.start().state
-    record = TrialRecord(
+    record = record_of(
+        np.zeros((2, 3, 3)),
         task="hanging",
         method=method,
-        seed=0,
-        look=Look(0.01),
         obstacles=obstacles_at(scenes.SCENE, state.obstacle_position, state.obstacle_quaternion),
-        goal=np.zeros(3),
-        goal_radius=0.05,
-        goal_point=0,
-        points=np.zeros((2, 3, 3)),
         grippers=np.zeros((2, 2, 3)),
-        plans=(),
         events=(Event(1, "end", "so it was"),),
         reached=reached,
         about={"simulated_s": 120.0, "grasps": 2, "iterations": 7, "regrasps": [REGRASP]},
@@ -140,3 +135,32 @@ def test_figures_are_means_of_all_trials_and_tests_of_shared_scenes():
 
 def test_the_hanging_task_has_the_methods_of_reaching():
     assert "wang" not in command.methods_of(scenes.TASK)
+
+
+def test_a_folder_is_begun_gone_on_with_and_refused_for_other_trials(ran, tmp_path, monkeypatch, capsys):
+    """Where no scenes come along, they are drawn into it; more of them begin with the same."""
+    done, _ = ran
+    drawn: list = []
+
+    def draw(name, *, out, count, seed):
+        drawn.append(count)
+        starts = [scenes.start()._replace(attempt=number) for number in range(count)]
+        save_arm_scenes(out, scenes_of(scenes.TASK, seed, starts))
+
+    monkeypatch.setattr(command, "rows_of", lambda *_: [])  # of what these trials leave out
+    monkeypatch.setattr(command, "task_of", lambda name: scenes.TASK)
+    monkeypatch.setattr(command, "regrasp_scenes", draw)
+    monkeypatch.setitem(command.COUNTS, scenes.TASK.name, 3)
+    out = tmp_path / "trials"
+    command.regrasp("untangling", out=out, scenes=(2,))
+    command.regrasp("untangling", out=out, scenes=(2,))
+    assert done == [("signature", 0), ("signature", 1)] and drawn == [2]
+    command.regrasp("untangling", out=out, scenes=(3,))
+    assert done[2:] == [("signature", 2)] and drawn == [2, 3]
+    with pytest.raises(ValueError, match="holds another folder of trials"):
+        command.regrasp("untangling", out=out, scenes=(2,), seed=1)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "mine.txt").write_text("x")
+    with pytest.raises(ValueError, match="holds no folder of trials but mine"):
+        command.regrasp("untangling", out=tmp_path / "notes", scenes=(2,))
+    assert [path.name for path in (tmp_path / "notes").iterdir()] == ["mine.txt"] and len(drawn) == 2

@@ -15,10 +15,11 @@ from doojax.experiments.reports.provenance import note_command
 from doojax.experiments.reports.summary import read_summary, row, show
 from doojax.experiments.trials.outcomes import read_evaluation
 from doojax.experiments.trials.record_files import save_record
-from doojax.experiments.trials.records import Event, Look, TrialRecord
+from doojax.experiments.trials.records import Event, TrialRecord
 from doojax.experiments.trials.scenes import FOLDER, draw_scenes, load_scenes, save_scenes
 from doojax.files import file_digest
 from tests.planning.problems import TOY, walls
+from tests.records import record_of
 
 ERRORS = {  # m; 12 scenes
     "classifier": [0.01] * 6 + [0.03] * 5 + [0.40],
@@ -31,18 +32,11 @@ RECOVERIES = {"classifier": 2, "no_classifier": 0, "oracle": 0}
 def record(method: str, trial: int, error: float) -> TrialRecord:
     reached = error <= 0.05
     about = {"final_error_m": error, "searches": 1, "extensions": 64, "actions": 0, "plan_s": 0.5}
-    return TrialRecord(
-        task="toy",
+    return record_of(
+        np.zeros((1, 5, 3)),
         method=method,
         seed=trial,
-        look=Look(rope_radius=0.01),
         obstacles=walls(),
-        goal=np.zeros(3),
-        goal_radius=0.05,
-        goal_point=0,
-        points=np.zeros((1, 5, 3)),
-        grippers=np.zeros((1, 1, 3)),
-        plans=(),
         events=(Event(0, "end", "goal reached" if reached else "10 searches did not suffice"),),
         reached=reached,
         about=about | {"recovery_actions": RECOVERIES[method]},

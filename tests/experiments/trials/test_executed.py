@@ -12,8 +12,9 @@ from doojax.experiments.trials.executed import (
     judged_transitions,
     wrong_among_accepted,
 )
-from doojax.experiments.trials.records import Event, Look, PlanRecord, TrialRecord
+from doojax.experiments.trials.records import Event, PlanRecord
 from doojax.types import Obstacles
+from tests.records import record_of
 
 NOWHERE = Obstacles(
     kind=jnp.zeros(1, jnp.int32),
@@ -45,22 +46,8 @@ def plan(step, *xs):
 
 def trial(executed, *plans, **about):
     points = ropes(*executed)
-    return TrialRecord(
-        task="toy",
-        method="classifier",
-        seed=0,
-        look=Look(0.01),
-        obstacles=NOWHERE,
-        goal=np.zeros(3),
-        goal_radius=0.05,
-        goal_point=0,
-        points=points,
-        grippers=points[:, :1],
-        plans=plans,
-        events=(Event(len(executed) - 1, "end", "over"),),
-        reached=False,
-        about=about,
-    )
+    end = Event(len(executed) - 1, "end", "over")
+    return record_of(points, obstacles=NOWHERE, plans=plans, events=(end,), about=about)
 
 
 # A plan of three steps that is left after two, a recovery, and a plan that is right.

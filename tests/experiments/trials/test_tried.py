@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from doojax.experiments.trials.record_files import load_record, save_record
-from doojax.experiments.trials.records import Event, Look, TrialRecord
+from doojax.experiments.trials.records import Event, TrialRecord
 from doojax.experiments.trials.tried import Tried, costs_by_term, tried_in
-from doojax.types import Obstacles
+from tests.records import record_of
 
 T, K, H, J = 3, 5, 2, 20
 
@@ -27,21 +26,13 @@ def tried() -> Tried:
 
 
 def record(replay=None, about=None) -> TrialRecord:
-    nothing = Obstacles(
-        jnp.zeros(0, int), jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros(0, bool)
-    )
-    return TrialRecord(
+    return record_of(
+        np.zeros((T + 1, 4, 3), np.float32),
         task="arm_reaching",
         method="mppi",
-        seed=0,
-        look=Look(0.01),
-        obstacles=nothing,
         goal=np.array([0.0, 0.5, 0.7]),
-        goal_radius=0.05,
         goal_point=3,
-        points=np.zeros((T + 1, 4, 3), np.float32),
         grippers=np.zeros((T + 1, 2, 3), np.float32),
-        plans=(),
         events=(Event(T, "end", "the goal is reached"),),
         reached=True,
         about=about or {},
