@@ -103,7 +103,7 @@ COMMANDS: Commands = {
         "train classifiers for several thresholds and seeds at once, and measure them",
     ),
     "import": (
-        "doojax.datasets.imports:import_trajectories",
+        "doojax.datasets.imports.command:import_trajectories",
         "make a data set of trajectories that were recorded elsewhere",
     ),
     "export": (

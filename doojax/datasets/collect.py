@@ -134,6 +134,8 @@ def _write_missing(
 
 def command_of(manifest: Manifest, out: Path) -> str | None:
     """The command that made a data set, complete, to be run into the folder ``out``; None if none did."""
+    if "imported" in manifest.config:
+        return None
     if "augmentation" in manifest.config:
         return _augmentation_of(manifest.config["augmentation"], out)
     given = ("task", "phase", "states", "engine", "seed")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from doojax.datasets import Dataset
-from doojax.datasets.imports import import_trajectories, read_csv
+from doojax.datasets.imports.command import import_trajectories
+from doojax.datasets.imports.files import read_csv
 from doojax.learning.data import load_split
 from doojax.types import ShapeKind
 

@@ -1,6 +1,6 @@
 """A data set's trajectories as episodes: what is seen and done at each step, with names, units and splits."""
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -84,12 +84,9 @@ class Episodes:
             "versions": manifest.versions,
             "control_period_s": self.period,
             "left_out_without_values": self.left_out,
+            "left_out": [name for name in manifest.fields if name not in (*self.arrays, "environment")],
             "fields": {
-                name: {
-                    "unit": manifest.fields[name].unit,
-                    "description": manifest.fields[name].description,
-                    "coordinates": self.coordinates(name),
-                }
+                name: {**asdict(manifest.fields[name]), "coordinates": self.coordinates(name)}
                 for name in self.arrays
             },
         }

@@ -100,6 +100,7 @@ def columns_of(episodes: Episodes) -> dict[str, Column]:
     for name in episodes.measured:
         unit = episodes.dataset.fields[name].unit
         columns[f"observation.{name}"] = Column(arrays[name][:, :-1, None], [name], [unit])
+        columns[f"next.observation.{name}"] = Column(arrays[name][:, 1:, None], [name], [unit])
     if "faults" in arrays:
         columns["next.faults"] = Column(arrays["faults"][..., None].astype(np.int64), ["faults"], ["1"])
     step, episode = np.broadcast_arrays(np.arange(steps), np.arange(count)[:, None])
