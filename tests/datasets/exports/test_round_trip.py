@@ -12,13 +12,13 @@ import pytest
 from doojax.cli import main
 from doojax.datasets import Dataset
 from doojax.datasets.collect import command_of
-from doojax.datasets.exports.command import export
+from doojax.datasets.exports.command import Layout, export
 from doojax.datasets.imports import trajectories
 from doojax.datasets.imports.command import import_trajectories
 
 from .conftest import UNSTABLE, K, N, T
 
-LAYOUTS = {"lerobot": "known", "minari": "known-v0"}
+LAYOUTS: dict[Layout, str] = {"lerobot": "known", "minari": "known-v0"}
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +234,7 @@ def test_what_is_wrong_with_a_lerobot_folder_is_said(case, copied, tmp_path):
 def stored(folder, name, change):
     """A dataset of the HDF5 file, changed."""
     with h5py.File(folder / "data/main_data.hdf5", "r+") as file:
-        values = change(file[name][:])
+        values = change(np.asarray(file[name]))
         del file[name]
         if values is not None:
             file[name] = values
