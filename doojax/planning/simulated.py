@@ -23,10 +23,16 @@ class SimulatedState(RopeState):
 
 
 class SimulatedBodies(eqx.Module):
-    """Any other state with all that its simulation needs to go on."""
+    """Any other state with all that its simulation needs to go on; else as what is seen."""
 
     seen: Any  # a State
     simulation: SimState
+
+    def __getattr__(self, name: str) -> Any:
+        """What an action space or a judge asks of the state that is seen."""
+        if name.startswith("__") or name in ("seen", "simulation"):  # neither copies nor pickles of nothing
+            raise AttributeError(name)
+        return getattr(self.seen, name)
 
     @property
     def passive(self) -> int:

@@ -102,6 +102,16 @@ def test_a_move_into_the_receiver_or_the_plant_is_cancelled(moved):
     assert float(seen.clearance.min()) >= 0
 
 
+def test_what_was_held_up_does_not_jump_when_it_gets_free(task):
+    """Under the canopy it cannot be tilted: what is missing in angle grows, and must not take it through."""
+    simulator = task.simulator()
+    held = jnp.array([0.13, 0.32, 0.9])
+    far = jnp.array([0.43, 0.62, 3.0])
+    moved = np.asarray(simulator._limited(far - held))
+    np.testing.assert_allclose(moved, [0.03 / 2**0.5, 0.03 / 2**0.5, 0.1], rtol=1e-5)
+    np.testing.assert_allclose(simulator._limited(jnp.array([0.01, -0.01, 0.05])), [0.01, -0.01, 0.05])
+
+
 def test_the_gap_is_that_of_boxes_side_by_side(task):
     simulator = task.simulator()
     obstacles = simulator.obstacles(simulator.reset(stream(2, "test")))

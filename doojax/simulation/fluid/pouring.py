@@ -40,6 +40,8 @@ class PouringScene:
     look: float = 0.02  # s, between two of them
     follow: float = 0.33  # of what is missing in place that the controller makes good by the next look
     turn: float = 0.4  # of what is missing in angle
+    fastest: float = 1.5  # m/s, at most, of the container; else what was held up would jump through things
+    fastest_turn: float = 5.0  # rad/s
     fall: float = 1.2  # m, the most that fluid falls
 
     def __post_init__(self):
@@ -199,6 +201,12 @@ class PouringSimulator(Jittable):
             (qpos, qvel, self._target(state, action)[None], every | find_faults(qpos, qvel)),
         )
 
+    def _limited(self, way: Float[Array, "3"]) -> Float[Array, "3"]:
+        """As much of a way in a look (m, m, rad) as speeds allow."""
+        far, turned = self.scene.fastest * self.scene.look, self.scene.fastest_turn * self.scene.look
+        length = jnp.sqrt((way[:2] ** 2).sum() + 1e-12)
+        return jnp.append(way[:2] * jnp.minimum(1.0, far / length), jnp.clip(way[2], -turned, turned))
+
     def _target(self, state: SimState, action: Float[Array, "1 3"]) -> Float[Array, "3"]:
         here = split(self.scene, state.qpos)[1]
         return jnp.array([here[0] + action[0, 0], here[1] + action[0, 1], action[0, 2]])
@@ -214,7 +222,7 @@ class PouringSimulator(Jittable):
         def look(carry: tuple[Fluid, Array], number: Array) -> tuple:
             fluid, here = carry
             wanted = pose + (target - pose) * jnp.minimum(1.0, (number + 1) / scene.ramp)
-            there = here + gain * (wanted - here)
+            there = here + self._limited(gain * (wanted - here))
             gap = self.gap(obstacles, there)
             there = jnp.where(gap < 0, here, there)  # cancelled: it would meet something
             fluid, faults = self._flow(fluid, obstacles, here, there)
