@@ -13,7 +13,7 @@ from doojax.modules import Jittable
 from doojax.planning.rrt import HostDynamics
 from doojax.simulation.scenes import parked_poses
 from doojax.simulation.state import SimState, Simulator
-from doojax.types import Motion, Obstacles, RopeState, State
+from doojax.types import Motion, Obstacles, PouringState, RopeState, State
 
 
 class SimulatedState(RopeState):
@@ -22,17 +22,17 @@ class SimulatedState(RopeState):
     simulation: SimState
 
 
+class SimulatedPouring(PouringState):
+    """A container that pours with all that its simulation needs to go on."""
+
+    simulation: SimState
+
+
 class SimulatedBodies(eqx.Module):
-    """Any other state with all that its simulation needs to go on; else as what is seen."""
+    """Any other state with all that its simulation needs to go on."""
 
     seen: Any  # a State
     simulation: SimState
-
-    def __getattr__(self, name: str) -> Any:
-        """What an action space or a judge asks of the state that is seen."""
-        if name.startswith("__") or name in ("seen", "simulation"):  # neither copies nor pickles of nothing
-            raise AttributeError(name)
-        return getattr(self.seen, name)
 
     @property
     def passive(self) -> int:
@@ -152,7 +152,7 @@ def simulated_start(simulator: Simulator, states: SimState, *, without_obstacles
 
 
 def _simulation(state: State) -> SimState:
-    if not isinstance(state, SimulatedState | SimulatedBodies):
+    if not isinstance(state, SimulatedState | SimulatedPouring | SimulatedBodies):
         raise ValueError(
             f"planning with a simulator begins at simulated_start(...), got a plain {type(state).__name__}"
         )
@@ -171,4 +171,7 @@ def _seen(after: SimState, seen: State) -> State:
 def _with(seen: State, simulation: SimState) -> State:
     if isinstance(seen, RopeState):
         return SimulatedState(points=seen.points, grippers=seen.grippers, simulation=simulation)
+    if isinstance(seen, PouringState):
+        parts = seen.container, seen.angle, seen.receiver, seen.volumes, seen.size
+        return SimulatedPouring(*parts, simulation=simulation)
     return SimulatedBodies(seen, simulation)

@@ -13,6 +13,7 @@ from doojax.datasets.collect import collect
 from doojax.datasets.inspect import inspect
 from doojax.geometry.motion import RigidMotion
 from doojax.keys import numbered, stream
+from doojax.planning import simulated_start
 from doojax.simulation.fluid.containers import Container
 from doojax.simulation.fluid.pouring import split
 from doojax.simulation.scenes import PARKED_POSITION
@@ -83,6 +84,14 @@ def test_the_container_gets_where_it_is_sent_and_pours(poured):
     volumes = np.asarray(seen.states.volumes)
     assert volumes[2, 1] > 0.95 and volumes[2, 0] == 0  # carried, nothing is spilled
     assert volumes[4, 0] > 0.7 and volumes[4, 1] < 0.1
+
+
+def test_a_simulation_that_is_planned_with_answers_for_what_is_seen_of_it(task, moved):
+    simulator, start, *_ = moved
+    begun = jax.tree.map(lambda leaf: leaf[0], simulated_start(simulator, start))
+    np.testing.assert_array_equal(begun.container, simulator.observe(begun.simulation).container)
+    assert not bool(task.actions.valid(begun, jnp.array([[0.0, 0.0, 2.5]])))  # too far from the receiver
+    assert isinstance(begun, PouringState) and begun.passive == 3
 
 
 def test_no_fluid_is_lost_or_in_a_wall(task, poured):
