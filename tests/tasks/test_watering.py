@@ -1,6 +1,7 @@
 """Watering in the plane: starts, pours, what is cancelled, data, goals; and that a search finds a pour."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +43,7 @@ MOVES = [
 @pytest.fixture(scope="module")
 def task():
     """Two dozen particles, and periods of half the length."""
-    made = make_task("watering_2d")
+    made: Any = make_task("watering_2d")
     return replace(made, scene=replace(made.scene, fluid=COARSE, particles=24, looks=40, ramp=20, fall=0.6))
 
 
@@ -164,7 +165,7 @@ def test_gauges_stand_for_volumes():
     ],
 )
 def test_the_goal_is_three_quarters_poured_and_a_twentieth_spilled(volumes, reached):
-    task = make_task("watering_2d")
+    task: Any = make_task("watering_2d")
     goal = task.sample_goal(stream(0, "goal"), NOTHING)
     assert bool(goal.distance(state_at(0.2, 0.3, volumes=volumes)) <= goal.tolerance) == reached
 
@@ -205,7 +206,7 @@ def test_what_is_straight_between_two_states_misses_nothing():
 
 
 def test_samples_are_states_that_could_be():
-    task = make_task("watering_2d")
+    task: Any = make_task("watering_2d")
     goal = task.sample_goal(stream(0, "goal"), NOTHING)
     shape = state_at(0.0, 0.3).bodies()
     draw = jax.vmap(lambda key, to: task.sample(key, task.workspace, shape, goal, to), (0, None))
