@@ -16,6 +16,8 @@ EXTRAS = {  # module -> extra of doojax
     "playwright": "dev",
     "pyarrow": "export",
     "pytorch_mppi": "bench",
+    "ray": "ray",
+    "submitit": "slurm",
     "torch": "bench",
     "viser": "view",
     "warp": "warp",

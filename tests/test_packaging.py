@@ -116,5 +116,10 @@ def test_the_wheel_works_in_an_environment_of_its_own(wheel, tmp_path, minor):
     )
     assert process.stdout.endswith("(2, 2, 10, 3)\n"), process.stderr
     assert "pip install 'doojax[view]'" in process.stderr
+    began = "import time; at = time.process_time(); import doojax; print(time.process_time() - at)"
+    seconds = subprocess.run(
+        [python, "-c", began], env=own, cwd=tmp_path, capture_output=True, text=True
+    ).stdout
+    assert float(seconds) < 1.5
     listed = subprocess.run([python, "-m", "pip", "list"], env=own, capture_output=True, text=True).stdout
     assert not [name for name in ("viser", "matplotlib", "imageio") if name in listed]

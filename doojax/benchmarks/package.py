@@ -6,8 +6,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from importlib.util import find_spec
 from json import dumps
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from doojax.commands import command_line
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.experiments.sweeps.command import sweep
+from doojax.experiments.sweeps.executors import ExecutorName
 
 MODULES = ("doojax", "doojax.tasks", "doojax.geometry", "doojax.topology", "doojax.planning")
 SOURCES = Path(__file__).parents[2]
@@ -28,7 +31,8 @@ def package(
     """Measure import times, the wheel's size, and how many small cells of a sweep end in a minute.
 
     An import is measured in a fresh interpreter, in seconds of the processor, so that other programs that run
-    beside do not count.
+    beside do not count. Of the sweep's executors, those are measured that are installed; on a machine alone,
+    that is what they cost.
 
     Args:
         repeats: of each import.
@@ -42,7 +46,9 @@ def package(
         FileNotFoundError: doojax was installed without its sources, of which a wheel could be built.
     """
     command = command_line(package, locals())
-    rows = [*import_rows(repeats), wheel_row(), sweep_row(cells, workers)]
+    here: list[ExecutorName] = [name for name in get_args(ExecutorName) if name == "local" or find_spec(name)]
+    sweeps = [sweep_row(name, cells, workers) for name in here]
+    rows = [*import_rows(repeats), wheel_row(), *sweeps]
     publish_rows(publish, command=command, seed=None, rows=rows)
     show(rows, json)
 
@@ -76,15 +82,15 @@ def wheel_row() -> Row:
         return row("wheel_mb", {}, wheel.stat().st_size / 1e6, "MB")
 
 
-def sweep_row(cells: int, workers: int) -> Row:
+def sweep_row(executor: ExecutorName, cells: int, workers: int) -> Row:
     """Cells a minute of a whole `doojax sweep` on this machine, its start and its table included."""
     with tempfile.TemporaryDirectory() as folder:
         spec = Path(folder) / "spec.yaml"
         spec.write_text(dumps({"command": CELL, "seeds": cells}))  # JSON is YAML
         began = time.perf_counter()
-        sweep(spec, out=Path(folder) / "sweep", workers=workers)
+        sweep(spec, out=Path(folder) / "sweep", executor=executor, workers=workers)
         minutes = (time.perf_counter() - began) / 60
-    tags = {"executor": "local", "workers": workers}
+    tags = {"executor": executor, "workers": workers}
     return row("sweep_cells_per_min", tags, cells / minutes, "1/min", n=cells)
 
 

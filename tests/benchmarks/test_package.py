@@ -22,13 +22,13 @@ def test_a_wheel_is_as_large_as_its_file_and_needs_sources(monkeypatch, tmp_path
 def test_cells_a_minute_are_those_of_a_whole_sweep(monkeypatch):
     asked = []
 
-    def sweep(spec, *, out, workers):
-        asked.append((cells_of(read_spec(spec)), workers))
+    def sweep(spec, *, out, executor, workers):
+        asked.append((cells_of(read_spec(spec)), executor, workers))
 
     clock = iter([100.0, 130.0])
     monkeypatch.setattr(package, "sweep", sweep)
     monkeypatch.setattr(package.time, "perf_counter", lambda: next(clock))
-    row = package.sweep_row(100, 2)
-    ((cells, workers),) = asked
-    assert len(cells) == 100 and workers == 2 and row.value == 200.0
-    assert row.tags == {"executor": "local", "workers": 2}
+    row = package.sweep_row("ray", 100, 2)
+    ((cells, executor, workers),) = asked
+    assert len(cells) == 100 and (executor, workers) == ("ray", 2) and row.value == 200.0
+    assert row.tags == {"executor": "ray", "workers": 2}

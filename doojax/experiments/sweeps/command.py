@@ -3,8 +3,6 @@
 import csv
 import io
 import json
-import subprocess
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -16,20 +14,19 @@ from rich.console import Console
 
 from doojax.datasets.progress import progress_bar
 from doojax.experiments.reports.summary import SUMMARY, read_summary
+from doojax.experiments.sweeps import executors
+from doojax.experiments.sweeps.executors import ExecutorName, Start, Worker
 from doojax.experiments.sweeps.spec import OUT, Cell, cells_of, read_spec
 from doojax.experiments.sweeps.worker import BEGUN, CELLS, DONE, FAILED, FOLDER, is_over
 from doojax.files import alone_in, write_whole
-from doojax.parts import processors
+from doojax.optional import require
 from doojax.terminal import labelled, narrow_table
 
 TABLE, PICTURE = "sweep.csv", "sweep.png"
-POLL = 0.2  # s
-WORKER = (sys.executable, "-m", "doojax.experiments.sweeps.worker")
-
-Start = Callable[[Path], subprocess.Popen]
+POLL, GRACE = 0.2, 2.0  # s
 
 
-def sweep(spec: Path, /, *, out: Path, workers: int | None = None) -> None:
+def sweep(spec: Path, /, *, out: Path, executor: ExecutorName = "local", workers: int | None = None) -> None:
     """Run a command for every value of what a spec varies, and gather what was measured in one table.
 
     The spec is a YAML file, such as::
@@ -45,16 +42,21 @@ def sweep(spec: Path, /, *, out: Path, workers: int | None = None) -> None:
 
     Args:
         spec: the file, see `doojax.experiments.sweeps.spec.Spec`.
-        out: the sweep's folder: cells/ and sweep.csv, a line for every row that a cell published.
-        workers: processes; by default one for each processor.
+        out: the sweep's folder: cells/, sweep.csv, a line for every row that a cell published, and their
+            figure, sweep.png. Every machine that works for the sweep has to see it.
+        executor: local, processes on this machine; ray, a cluster (RAY_ADDRESS says which, or one that runs
+            here; without any, one is started here); submitit, jobs of SLURM, which SBATCH_PARTITION,
+            SBATCH_TIMELIMIT and the like describe.
+        workers: processes, tasks or jobs; by default one for each processor here or of ray's cluster.
 
     Raises:
         ValueError: a spec that makes no sense, workers below 1, or cells that failed; the message names one.
         BlockingIOError: another sweep runs in the folder.
+        ModuleNotFoundError: ray or submitit is missing; the message names the extra.
     """
-    workers = processors() if workers is None else workers
-    if workers < 1:
+    if workers is not None and workers < 1:
         raise ValueError(f"workers is {workers}, expected at least 1")
+    require("matplotlib")  # of the figure: before hours of work rather than after
     cells = cells_of(read_spec(spec))
     out = out.resolve()
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
@@ -70,11 +72,16 @@ def sweep(spec: Path, /, *, out: Path, workers: int | None = None) -> None:
             def report(done: int, failed: int) -> None:
                 progress.update(bar, completed=done + failed, note=f"{failed} failed" if failed else "")
 
-            supervise(out, cells, workers, report)
+            with executors.executor(executor, out) as (start, most):
+                supervise(out, cells, workers or most, report, start)
     rows = rows_of(out, cells)
     _write_table(out / TABLE, cells, rows)
-    _show(rows)
-    console.print(f"{len(rows)} rows of {len(cells)} cells in {out / TABLE}")
+    if rows:
+        from doojax.experiments.sweeps.picture import draw_sweep_table
+
+        draw_sweep_table(out / PICTURE, list(cells[0].values), rows)
+        _show(rows)
+        console.print(f"{len(rows)} rows of {len(cells)} cells in {out / TABLE}, drawn in {out / PICTURE}")
     failed = [cell for cell in cells if (out / FOLDER / cell.name / FAILED).exists()]
     if failed:
         folder = out / FOLDER / failed[0].name
@@ -82,20 +89,15 @@ def sweep(spec: Path, /, *, out: Path, workers: int | None = None) -> None:
         raise ValueError(f"{len(failed)} of {len(cells)} cells failed, such as {folder}: {said}")
 
 
-def start_worker(out: Path) -> subprocess.Popen:
-    """A worker on this machine; it ends when there is nothing left that it can do."""
-    return subprocess.Popen([*WORKER, str(out)], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-
-
 def supervise(
     out: Path,
     cells: Sequence[Cell],
     workers: int,
     report: Callable[[int, int], None],
-    start: Start = start_worker,
+    start: Start,
 ) -> None:
     """Keep so many workers at it until every cell is done or has failed; those that died are replaced."""
-    running: list[subprocess.Popen] = []
+    running: list[Worker] = []
     try:
         while True:
             folders = [out / FOLDER / cell.name for cell in cells]
@@ -103,7 +105,10 @@ def supervise(
                 sum((one / DONE).exists() for one in folders), sum((one / FAILED).exists() for one in folders)
             )
             left = sum(not is_over(folder) for folder in folders)
-            if not left:
+            if not left:  # workers see that within a moment; those that still wait for a machine do not
+                deadline = time.monotonic() + GRACE
+                while any(worker.poll() is None for worker in running) and time.monotonic() < deadline:
+                    time.sleep(POLL)
                 return
             running = [worker for worker in running if worker.poll() is None]
             while len(running) < min(workers, left):

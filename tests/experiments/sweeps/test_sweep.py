@@ -11,25 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from doojax.experiments.sweeps.command import _show, rows_of, start_worker, supervise, sweep
+from doojax.experiments.sweeps.command import _show, rows_of, supervise, sweep
+from doojax.experiments.sweeps.executors import start_process
 from doojax.experiments.sweeps.spec import Cell, Spec, cells_of, read_spec
 from doojax.experiments.sweeps.worker import CELLS, DONE, FAILED, FOLDER, MOST_BEGUN, work
 
-# A command that is done in an instant, notes who did it, and on demand is the end of its worker.
-NAP = """
-import os, signal, time
-from pathlib import Path
-def nap(name: str, /, *, out: Path, seconds: float = 0.05, deadly: bool = False) -> None:
-    '''Sleep.'''
-    out.mkdir(parents=True, exist_ok=True)
-    with (out / "who").open("a") as file:
-        file.write(f"{os.getpid()}\\n")
-    if deadly:
-        os.kill(os.getpid(), signal.SIGKILL)
-    if name == "bad":
-        raise ValueError("a bad name")
-    time.sleep(seconds)
-"""
+from .naps import NAP
+
+# Workers that know it.
 PATCHED = """
 import sys
 from pathlib import Path
@@ -42,8 +31,8 @@ DRIVE = (
     PATCHED
     + """
 import subprocess
-from doojax.experiments.sweeps import command
-command.WORKER = (sys.executable, "-c", {work!r})
+from doojax.experiments.sweeps import command, executors
+executors.WORKER = (sys.executable, "-c", {work!r})
 command.sweep(Path(sys.argv[1]), out=Path(sys.argv[2]), workers=2)
 """
 )
@@ -122,6 +111,7 @@ def survives_killed_drivers(folder: Path, count: int, kills: int) -> None:
     assert last.returncode == 0, last.stderr
     assert times_begun(out, cells_of(read_spec(spec))) == [1] * count
     lines = (out / "sweep.csv").read_text().splitlines()
+    assert (out / "sweep.png").read_bytes().startswith(b"\x89PNG")
     assert lines[0].startswith("cell,who,metric") and len(lines) == count + 1
 
 
@@ -232,7 +222,7 @@ def test_a_file_that_is_no_spec_is_refused(tmp_path):
 
 def test_a_worker_is_this_pythons(tmp_path):
     (tmp_path / CELLS).write_text("{}")
-    worker = start_worker(tmp_path)
+    worker = start_process(tmp_path)
     assert worker.wait(60) == 0
 
 
