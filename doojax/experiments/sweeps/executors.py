@@ -4,7 +4,6 @@ All of them do the same, `doojax.experiments.sweeps.worker.work`, and share noth
 which every machine has to see. So an executor is no more than a way to start one and to see that it ended.
 """
 
-import os
 import shutil
 import subprocess
 import sys
@@ -69,7 +68,6 @@ def executor(name: ExecutorName, out: Path) -> Iterator[tuple[Start, int]]:
 
     begun = not ray.is_initialized()
     if begun:
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         ray.init(log_to_driver=False, logging_level="error")
     try:
         yield partial(RayWorker, Path.cwd()), max(1, int(ray.cluster_resources().get("CPU", 1)))
