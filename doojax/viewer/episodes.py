@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from doojax.datasets import Dataset
-from doojax.experiments.trials.records import Look, PredictionRecord, TrialRecord
+from doojax.experiments.trials.records import Look, PredictionRecord, TrialRecord, solid_of
 from doojax.tasks import make_task
 from doojax.types import Obstacles, ShapeKind
 from doojax.viewer import shapes
@@ -45,7 +45,8 @@ class Episode:
 
     def corners(self) -> Float[np.ndarray, "K 3"]:
         """Points around which a picture of everything must reach: corners of all bodies, metres."""
-        moving = np.concatenate([self.points.reshape(-1, 3), self.grippers.reshape(-1, 3)])
+        solid = solid_of(self.points, self.grippers, self.look)
+        moving = np.concatenate([part.reshape(-1, 3) for part in solid])
         moving = moving[np.isfinite(moving).all(-1)]
         active = np.asarray(self.obstacles.active)
         half = np.asarray(self.obstacles.half_size)[active].astype(np.float32)

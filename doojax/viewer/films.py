@@ -98,8 +98,9 @@ def film_of_prediction(record: PredictionRecord, index: int) -> Film:
 
 def corners_of_trial(record: TrialRecord) -> Float[np.ndarray, "K 3"]:
     """Points (m) around which a picture of a trial must reach: what there is, and all that was tried."""
-    nodes = [body_of(plan.points, plan.grippers, record.goal_point) for plan in record.plans]
-    everything = [episode_of(record).corners(), record.goal[None], corners_of_arms(record), *nodes]
+    nodes = [body_of(plan.points, plan.grippers, record.shown_point) for plan in record.plans]
+    goal = record.goal[None][: record.shown_point == record.goal_point]
+    everything = [episode_of(record).corners(), goal, corners_of_arms(record), *nodes]
     corners = np.concatenate(everything).astype(np.float32)
     return corners[np.isfinite(corners).all(-1)]
 

@@ -3,7 +3,7 @@
 A data set holds what learners see, not the fluid: it is simulated again, from the stored start.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,9 +14,13 @@ from jaxtyping import Array, Float
 from doojax.datasets import Dataset
 from doojax.datasets.replay import stored_starts
 from doojax.experiments.drawing import Colour, Drawing
+from doojax.experiments.trials.records import TrialRecord
+from doojax.experiments.trials.replay import start_of
+from doojax.experiments.trials.volumes import said_of, volumes_of
 from doojax.simulation.fluid.containers import boxes_of
 from doojax.simulation.fluid.pouring import PouringScene, PouringSimulator, split
 from doojax.simulation.state import SimState
+from doojax.tasks import make_task
 from doojax.tasks.ropes import task_of
 from doojax.types import Obstacles
 from doojax.viewer.films import Film
@@ -46,53 +50,86 @@ def film_of_pouring(dataset: Dataset, index: int) -> Film:
     return film_of(simulator, start, actions, f"{name} · {phase}   #{dataset.rows[index]}")
 
 
+class Flow(NamedTuple):
+    """What a container and its fluid do, F moments."""
+
+    scene: PouringScene
+    places: Float[np.ndarray, "F P 3"]  # of the particles, m
+    poses: Float[np.ndarray, "F 3"]  # x and z (m) of the container, and its angle (rad)
+
+    def show(self, drawing: Drawing, moment: float) -> None:
+        """Draw both at a moment, counted from 0; beyond the last, that."""
+        x, z, angle = self.poses[min(round(moment), len(self.poses) - 1)]
+        place = jnp.array([x, 0.0, z], jnp.float32)
+        own = boxes_of(self.scene.container, place, jnp.asarray(angle, jnp.float32))
+        fluid = self.places[min(round(moment), len(self.places) - 1)]
+        drawing.spheres("flow/fluid", fluid, radius=self.scene.fluid.radius, colours=WATER)
+        drawing.obstacles("flow/container", own, colour=GLASS, opacity=THIN)
+
+
+def simulated_again(record: TrialRecord) -> tuple[Flow, Obstacles]:
+    """A trial of a container from its first state by its actions, `EVERY` looks apart, and what stands there.
+
+    Raises:
+        ValueError: for a record that does not hold them.
+    """
+    simulator: Any = make_task(record.task).simulator()
+    start = jax.tree.map(lambda leaf: leaf[0], start_of(record))
+    return flow_of(simulator, start, jnp.asarray(record.replay["actions"])), simulator.obstacles(start)
+
+
+def per_state(scene: PouringScene) -> int:
+    """Moments of a `Flow` between two states."""
+    return scene.looks // EVERY
+
+
+def film_of_pour(record: TrialRecord) -> Film:
+    """A trial of a container, simulated again.
+
+    Raises:
+        ValueError: for a record that does not hold what it takes.
+    """
+    flow, obstacles = simulated_again(record)
+    poured, spilled = volumes_of(record)[-1]
+    title = f"{record.task.replace('_', ' ')} · {record.method} · seed {record.seed}: {record.end}, "
+    return film_from(flow, obstacles, title + said_of(poured, spilled))
+
+
 def film_of(simulator: PouringSimulator, start: SimState, actions: Float[Array, "T 1 3"], title: str) -> Film:
     """What a simulator does from a start with some actions."""
+    return film_from(flow_of(simulator, start, actions), simulator.obstacles(start), title)
+
+
+def flow_of(simulator: PouringSimulator, start: SimState, actions: Float[Array, "T 1 3"]) -> Flow:
+    """What a simulator does from a start with some actions, `EVERY` looks apart."""
     scene = simulator.scene
     flow, poses = (np.asarray(leaf) for leaf in _simulated(simulator, start, actions))
     first, pose = split(scene, start.qpos)
     flow = np.concatenate([np.asarray(first)[None], flow])[::EVERY]
-    poses = np.concatenate([np.asarray(pose)[None], poses])[::EVERY]
-    return film_from(scene, simulator.obstacles(start), flow, poses, title)
-
-
-def film_from(
-    scene: PouringScene,
-    obstacles: Obstacles,
-    flow: Float[np.ndarray, "F P D"],
-    poses: Float[np.ndarray, "F 3"],
-    title: str,
-) -> Film:
-    """A film of F moments, `EVERY` looks of the controller apart.
-
-    Args:
-        scene: what is shown.
-        obstacles: the receiver's boxes first, then the plant's.
-        flow: places of the particles, m.
-        poses: x and z (m) of the container, and its angle (rad).
-        title: of the film.
-    """
     if flow.shape[2] == 2:
         flow = np.insert(flow, 1, 0.0, axis=2)
+    return Flow(scene, flow, np.concatenate([np.asarray(pose)[None], poses])[::EVERY])
+
+
+def film_from(flow: Flow, obstacles: Obstacles, title: str) -> Film:
+    """A film of moments that are `EVERY` looks of the controller apart.
+
+    Args:
+        flow: what moves.
+        obstacles: the receiver's boxes first, then the plant's.
+        title: of the film.
+    """
+    poses = flow.poses
     obstacles = jax.tree.map(np.asarray, obstacles)
     there = np.asarray(obstacles.active)
     ends = [obstacles.centre[there] + sign * obstacles.half_size[there] for sign in (-1, 1)]
     sides = np.array([[-0.2, 0.0, 0.0], [0.2, 0.0, 0.25]])
     moving = (np.stack([poses[:, 0], 0 * poses[:, 0], poses[:, 1]], axis=1)[:, None] + sides).reshape(-1, 3)
 
-    def set_up(drawing: Drawing) -> None:
+    def show(drawing: Drawing, moment: float) -> None:
         drawing.obstacles("receiver", _some(obstacles, slice(0, WALLS)), colour=GLASS, opacity=THIN)
         drawing.obstacles("plant", _some(obstacles, slice(WALLS, None)), colour=LEAVES, opacity=LEAFY)
-
-    def show(drawing: Drawing, moment: float) -> None:
-        x, z, angle = poses[min(round(moment), len(poses) - 1)]
-        place = jnp.array([x, 0.0, z], jnp.float32)
-        own = boxes_of(scene.container, place, jnp.asarray(angle, jnp.float32))
-        set_up(drawing)
-        drawing.spheres(
-            "fluid", flow[min(round(moment), len(flow) - 1)], radius=scene.fluid.radius, colours=WATER
-        )
-        drawing.obstacles("container", own, colour=GLASS, opacity=THIN)
+        flow.show(drawing, moment)
 
     corners = np.concatenate([*ends, moving]).astype(np.float32)
     corners[:, 1] = np.clip(corners[:, 1], -0.2, 0.2)
@@ -102,7 +139,7 @@ def film_from(
         floor=0.0,
         planar=False,
         states=len(poses),
-        period=EVERY * scene.look,
+        period=EVERY * flow.scene.look,
         set_up=lambda drawing: None,  # what is translucent is drawn over what moves, so with it
         show=show,
         seen_from=FROM_FRONT,

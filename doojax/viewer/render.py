@@ -14,7 +14,7 @@ from doojax.viewer.arms import strip
 from doojax.viewer.episodes import require_rope
 from doojax.viewer.films import Film, film_of_prediction, film_of_trajectory, film_of_trial
 from doojax.viewer.pictures import animate, contact_sheet, frames
-from doojax.viewer.pouring import film_of_pouring, holds_pouring
+from doojax.viewer.pouring import film_of_pour, film_of_pouring, holds_pouring
 from doojax.viewer.recording import record
 
 ENDINGS = (".png", ".gif", ".mp4", ".viser", ".html")
@@ -93,7 +93,7 @@ def film_at(path: Path, index: int | None) -> Film:
     if isinstance(shown, TrialRecord):
         if index is not None:
             raise ValueError(f"{path} is one trial: leave --index out")
-        return film_of_trial(shown)
+        return film_of_pour(shown) if shown.look.what == "container" else film_of_trial(shown)
     count = len(shown.start)
     if not 0 <= (index or 0) < count:
         raise ValueError(f"there is no prediction {index or 0}: {path} holds {count}, counted from 0")

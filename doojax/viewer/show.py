@@ -7,7 +7,14 @@ from jaxtyping import Bool, Float, UInt8
 
 from doojax.experiments.drawing import Colour, Drawing
 from doojax.experiments.trials.executed import Followed
-from doojax.experiments.trials.records import Look, PlanRecord, PredictionRecord, TrialRecord, body_of
+from doojax.experiments.trials.records import (
+    Look,
+    PlanRecord,
+    PredictionRecord,
+    TrialRecord,
+    body_of,
+    solid_of,
+)
 from doojax.viewer import colours
 from doojax.viewer.episodes import Episode
 from doojax.viewer.robots import show_arms
@@ -44,12 +51,33 @@ def show_rope(
     colour: Colour = colours.ROPE,
     opacity: float = 1.0,
 ) -> None:
-    """A rope with its grippers; ``points`` are its links' centres."""
-    curve = extended(points, look.rope_end)
-    drawing.rope(f"{name}/rope", curve, radius=look.rope_radius, colour=colour, opacity=opacity)
+    """A rope with its grippers; ``points`` are its links' centres. Of a container the outline."""
+    show_line(drawing, f"{name}/rope", points, grippers, look, colour=colour, opacity=opacity)
+    if look.what == "container":
+        return
     drawing.spheres(
         f"{name}/grippers", grippers, radius=gripper_radius(look), colours=colours.GRIPPER, opacity=opacity
     )
+
+
+def show_line(
+    drawing: Drawing,
+    name: str,
+    points: Float[np.ndarray, "N 3"],
+    grippers: Float[np.ndarray, "G 3"],
+    look: Look,
+    *,
+    colour: Colour,
+    opacity: float = 1.0,
+) -> None:
+    """A rope without its grippers, or a container's outline from rim to rim."""
+    line, _ = solid_of(points, grippers, look)
+    if look.what == "container":
+        drawing.lines(name, segments_of(line), width=5.0, colours=colour)
+    else:
+        drawing.rope(
+            name, extended(line, look.rope_end), radius=look.rope_radius, colour=colour, opacity=opacity
+        )
 
 
 def show_episode(
@@ -186,9 +214,8 @@ def show_plan(
         drawing.cones("plan/tree", edges, radius=EDGE_RADIUS, colours=node_colours(plan, by)[shown])
     if len(plan.path):
         drawing.lines("plan/path", segments_of(places[plan.path]), width=5.0, colours=colours.CHOSEN)
-        last = plan.path[-1]
-        curve = extended(plan.points[last], look.rope_end)
-        drawing.rope("plan/end", curve, radius=look.rope_radius, colour=colours.CHOSEN, opacity=GHOST)
+        end = plan.points[plan.path[-1]], plan.grippers[plan.path[-1]]
+        show_line(drawing, "plan/end", *end, look, colour=colours.CHOSEN, opacity=GHOST)
 
 
 def show_execution(
@@ -203,13 +230,16 @@ def show_execution(
     look = replace(record.look, gripper_radius=0.0) if "joints" in record.replay else record.look
     show_rope(drawing, "now", points, grippers, look, colour=colour)
     show_arms(drawing, record, moment)
-    way = record.goal_way[: int(moment) + 1]
+    way = body_of(record.points, record.grippers, record.shown_point)[: int(moment) + 1]
     if len(way) < 2:
         drawing.remove("executed")
     else:
         tint = np.where(recovering(record)[: len(way) - 1, None], colours.RECOVERY, colour)
         drawing.lines("executed", segments_of(way), width=4.0, colours=tint.astype(np.uint8))
-    drawing.spheres("goal", record.goal[None], radius=record.goal_radius, colours=colours.GOAL, opacity=0.6)
+    if record.shown_point == record.goal_point:
+        drawing.spheres(
+            "goal", record.goal[None], radius=record.goal_radius, colours=colours.GOAL, opacity=0.6
+        )
 
 
 def show_expected(drawing: Drawing, record: TrialRecord, found: Followed, moment: float) -> None:
@@ -229,9 +259,10 @@ def show_expected(drawing: Drawing, record: TrialRecord, found: Followed, moment
         return
     tree, look = record.plans[plan], record.look
     points = between(tree.points[nodes], moment - state)
-    rope = extended(points, look.rope_end)
-    drawing.rope("expected/rope", rope, radius=look.rope_radius, colour=colours.PREDICTION, opacity=GHOST)
-    actual = between(record.points, moment)
+    hands = between(tree.grippers[nodes], moment - state)
+    show_line(drawing, "expected/rope", points, hands, look, colour=colours.PREDICTION, opacity=GHOST)
+    actual, _ = solid_of(between(record.points, moment), between(record.grippers, moment), look)
+    points, _ = solid_of(points, hands, look)
     drawing.lines(
         "expected/misses", np.stack([actual, points], axis=1), width=1.5, colours=colours.PREDICTION
     )

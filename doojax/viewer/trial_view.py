@@ -13,6 +13,7 @@ from doojax.experiments.trials.judges import name_of_score, score_said
 from doojax.experiments.trials.records import PlanRecord, TrialRecord
 from doojax.experiments.trials.touching import obstacle_names
 from doojax.experiments.trials.trial_list import KEEP
+from doojax.experiments.trials.volumes import said_of, volumes_of
 from doojax.experiments.trials.why import SEARCHED, why
 from doojax.types import Obstacles
 from doojax.viewer import colours
@@ -23,6 +24,7 @@ from doojax.viewer.films import Film, corners_of_trial, film_of_trial
 from doojax.viewer.page import Page
 from doojax.viewer.player import Player
 from doojax.viewer.plots import TimePlot
+from doojax.viewer.pouring import Flow, film_of_pour, per_state, simulated_again
 from doojax.viewer.show import (
     between,
     node_values,
@@ -41,7 +43,7 @@ BEFORE: str = "(before)"
 SEE_THROUGH = 0.55  # opacity of obstacles, lest a path vanish in one
 SAME = {"gripper": colours.GRIPPER, "goal": colours.GOAL, "chosen path": colours.CHOSEN}
 PARTS = ("now", "arms", "executed", "expected", "others", "plan", "node", "goal", "goal label", "names")
-PARTS += ("obstacles",)
+PARTS += ("obstacles", "flow")
 NUMBERED = re.compile(r"\b(?:box|cylinder|capsule|table) (\d+)\b")
 
 
@@ -81,6 +83,7 @@ class TrialView:
         with self.tabs.add_tab("About"):
             self._about = gui.add_markdown("")
         self._drawn: tuple = ()
+        self._flow: Flow | None = None  # of a container: what its fluid did
         self._event.on_update(self._event_chosen)
         for control in (self._plan, self._tree, self._rejected, self._by, self._inspect, self._node):
             control.on_update(page.calling(lambda: self._show(self.player.moment)))
@@ -121,6 +124,7 @@ class TrialView:
         for part in PARTS:
             drawing.remove(part)
         first = self._record is None
+        self._flow = simulated_again(record)[0] if record.look.what == "container" else None
         self._record, self._others, self._colour = record, dict(others or {}), colour
         self._found = followed(record)
         self._drawn = ()
@@ -135,7 +139,8 @@ class TrialView:
         self._about.content = listed({key: value for key, value in record.about.items() if key != "why"})
         if first:  # later ones are seen from where somebody has turned the view to
             self._page.stage(corners_of_trial(record), record.look.floor, episode_of(record).planar)
-        drawing.text("goal label", "goal", record.goal + np.array([0, 0, 1.2 * record.goal_radius]))
+        if self._flow is None:
+            drawing.text("goal label", "goal", record.goal + np.array([0, 0, 1.2 * record.goal_radius]))
         self.sight.draw()
         self._number()
         self.player.set_states(max(len(one.points) for one in (record, *self._others.values())))
@@ -180,7 +185,8 @@ class TrialView:
         return [(self._page.drawing, self._of().obstacles)]
 
     def _film(self) -> Film:
-        return film_of_trial(self._of())
+        record = self._of()
+        return film_of_trial(record) if self._flow is None else film_of_pour(record)
 
     def _number(self) -> None:
         """Write the names of the obstacles that the sentence speaks of beside them, or those of all."""
@@ -217,6 +223,8 @@ class TrialView:
             points, hands = between(other.points, moment), between(other.grippers, moment)
             shown = colours.method_colour(method)
             show_rope(drawing, f"others/{method}", points, hands, other.look, colour=shown)
+        if self._flow is not None:
+            self._flow.show(drawing, moment * per_state(self._flow.scene))
         show_expected(drawing, record, self._found, moment)
         self._control.show(moment)
         for plot in (self._error, self._score, self._distance):
@@ -236,6 +244,8 @@ class TrialView:
         record, found = self._of(), self._found
         distance = float(np.linalg.norm(record.goal_way[state] - record.goal))
         lines = [f"goal {100 * distance:.1f} cm away (reached within {100 * record.goal_radius:.0f} cm)"]
+        if self._flow is not None:
+            lines = [said_of(*volumes_of(record)[state])]
         if found.node[state] >= 0:
             plan = int(found.plan[state])
             step, last = state - record.plans[plan].step, len(record.plans[plan].path) - 1
@@ -263,7 +273,7 @@ class TrialView:
                     drawing,
                     plan,
                     record.look,
-                    point=record.goal_point,
+                    point=record.shown_point,
                     by=self._by.value,
                     rejected=self._rejected.value,
                     tree=self._tree.value,

@@ -7,12 +7,17 @@ from doojax.keys import stream
 from doojax.simulation.fluid.pouring import split
 from doojax.tasks import make_task
 from doojax.viewer.pictures import frames
-from doojax.viewer.pouring import LEAVES, WATER, film_from
+from doojax.viewer.pouring import LEAVES, WATER, Flow, film_from
 
 
 def near(picture, colour, within):
     """How many pixels have about a colour."""
     return int((np.abs(picture.astype(int) - np.array(colour)).max(-1) < within).sum())
+
+
+def cup(places, pose):
+    """A flow of one moment in the plane."""
+    return Flow(make_task("watering_2d").scene, np.insert(places, 1, 0.0, axis=2), pose)
 
 
 def test_fluid_and_plant_are_in_the_picture():
@@ -21,9 +26,9 @@ def test_fluid_and_plant_are_in_the_picture():
     start = simulator.reset(stream(0, "test"))
     flow, pose = (np.asarray(leaf)[None] for leaf in split(task.scene, start.qpos))
     obstacles = simulator.obstacles(start)
-    (seen,) = frames(film_from(task.scene, obstacles, flow, pose, "a cup"), [0.0])
+    (seen,) = frames(film_from(cup(flow, pose), obstacles, "a cup"), [0.0])
     gone = jax.tree.map(lambda leaf: leaf[:5], obstacles)
-    (bare,) = frames(film_from(task.scene, gone, flow[:, :1] + 5.0, pose, "a cup"), [0.0])
+    (bare,) = frames(film_from(cup(flow[:, :1] + 5.0, pose), gone, "a cup"), [0.0])
     assert near(seen, WATER, 60) > near(bare, WATER, 60) + 50
     green = [int((one[..., 1].astype(int) > one[..., 0].astype(int) + 30).sum()) for one in (seen, bare)]
     assert LEAVES[1] > LEAVES[0] + 30 and green[0] > green[1] + 1000

@@ -20,6 +20,7 @@ from doojax.experiments.trials.scenes import FOLDER, load_scenes
 from doojax.experiments.trials.seen import check_unseen, warning_of
 from doojax.experiments.trials.setting import Trials, TrialSettings
 from doojax.experiments.trials.trial import run_trials
+from doojax.experiments.trials.volumes import said_of, volumes_of
 from doojax.experiments.trials.why import why
 from doojax.keys import check_seed, stream
 from doojax.planning import Goal, Problem, RrtSettings, all_of, check_problem
@@ -133,10 +134,10 @@ def plan(
     if warning := warning_of(saw, method):
         console.print(warning, style="yellow")
     if execute:
-        console.print(
-            f"the rope ends {100 * record.about['final_error_m']:.1f} cm from the goal", highlight=False
-        )
-    if execute:
+        what = record.look.what
+        ends = f"the {what} ends {100 * record.about['final_error_m']:.1f} cm from the goal"
+        ends = said_of(*volumes_of(record)[-1]) if what == "container" else ends
+        console.print(ends, highlight=False)
         console.print(f"why: {why(record)}", soft_wrap=True)
     console.print(f"searching took {record.about['plan_s']:.1f} s; to see it all: doojax view {out}")
 

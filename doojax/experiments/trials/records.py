@@ -11,10 +11,14 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from doojax.simulation.fluid.pouring import PouringScene
 from doojax.types import Obstacles
 
 GridKind = Literal["distance", "occupancy"]
 EventKind = Literal["plan", "execute", "recover", "replan", "end"]
+What = Literal["rope", "container"]
+PLACE = 2  # among the points of a container: its own place; the first two are gauges, see `PouringState`
+OUTLINE = (2, 0, 1, 3)  # of its corners, as a way from rim to rim
 
 
 @dataclass(frozen=True)
@@ -25,13 +29,18 @@ class Look:
     rope_end: float = 0.0  # how far the rope goes on beyond its first and its last point
     gripper_radius: float = 0.02
     floor: float | None = 0.0  # its height; None where there is none
+    what: What = "rope"
+    """What the bodies are: a rope's points and grippers, or what is seen of a container that pours."""
 
     @classmethod
     def of(cls, scene: Any) -> "Look":
         """The sizes of what is in a scene."""
         hands = max((gripper.radius for gripper in scene.grippers), default=cls.gripper_radius)
         if scene.rope is None:
-            return cls(scene.plane_height, gripper_radius=hands, floor=0.0 if scene.floor else None)
+            what: What = "container" if isinstance(scene, PouringScene) else "rope"
+            return cls(
+                scene.plane_height, gripper_radius=hands, floor=0.0 if scene.floor else None, what=what
+            )
         half_link = scene.rope_part.parameters.length / scene.links / 2
         return cls(
             rope_radius=scene.rope_part.parameters.radius,
@@ -251,6 +260,11 @@ class TrialRecord:
             _expect_range(f"step of {name}", np.array([item.step for item in items]), 0, len(self.points) - 1)
 
     @property
+    def shown_point(self) -> int:
+        """The body by whose places searches and ways are shown: gauges would tell nothing of them."""
+        return PLACE if self.look.what == "container" else self.goal_point
+
+    @property
     def goal_way(self) -> Float[np.ndarray, "T1 3"]:
         """Where the body that is to reach the goal was, metres."""
         return body_of(self.points, self.grippers, self.goal_point)
@@ -269,6 +283,15 @@ def body_of(
     """One of the bodies, the rope's points counted first and then the grippers."""
     count = points.shape[-2]
     return points[..., index, :] if index < count else grippers[..., index - count, :]
+
+
+def solid_of(
+    points: Float[np.ndarray, "*b N 3"], grippers: Float[np.ndarray, "*b G 3"], look: Look
+) -> tuple[Float[np.ndarray, "*b K 3"], Float[np.ndarray, "*b H 3"]]:
+    """What can touch something, m: a line and balls. A rope and its grippers, or a container's outline."""
+    if look.what == "container":
+        return grippers[..., list(OUTLINE), :], grippers[..., :0, :]
+    return points, grippers
 
 
 Record = PredictionRecord | TrialRecord

@@ -20,11 +20,11 @@ def first_state(start: SimState) -> dict[str, np.ndarray]:
     }
 
 
-def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N 3"]:
-    """The passive bodies (m), such as a rope's points, when a trial is executed again from its first state.
+def start_of(record: TrialRecord) -> SimState:
+    """The first state of a trial, as a batch of one.
 
     Raises:
-        ValueError: for a record that does not hold them.
+        ValueError: for a record that does not hold it.
     """
     if not record.replay:
         raise ValueError(
@@ -36,7 +36,16 @@ def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N
         for name, values in record.replay.items()
         if name.startswith(MODEL)
     }
-    states = SimState(**stored, faults=jnp.zeros(1, dtype=jnp.int32), model_fields=fields)
+    return SimState(**stored, faults=jnp.zeros(1, dtype=jnp.int32), model_fields=fields)
+
+
+def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N 3"]:
+    """The passive bodies (m), such as a rope's points, when a trial is executed again from its first state.
+
+    Raises:
+        ValueError: for a record that does not hold them.
+    """
+    states = start_of(record)
     seen = observed(simulator, states)
     points = [np.asarray(seen.bodies()[0, : seen.passive])]
     for action in record.replay["actions"]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from doojax.experiments.trials.records import Look
+from doojax.experiments.trials.records import Look, solid_of
 from doojax.geometry.sdf import signed_distances
 from doojax.types import Obstacles, ShapeKind
 
@@ -38,6 +38,7 @@ def gaps(
 
     Along straight links, and half a link beyond the rope's ends where it goes on there.
     """
+    points, grippers = solid_of(points, grippers, look)
     part = np.linspace(0, 1, BETWEEN, endpoint=False)[:, None, None]
     curve = np.concatenate([(points[:-1] + part * np.diff(points, axis=0)).reshape(-1, 3), points[-1:]])
     if look.rope_end and len(points) > 1:

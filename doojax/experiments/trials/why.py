@@ -74,13 +74,13 @@ def explained(record: TrialRecord) -> str:
     found, found_left = (sum(one.found for one in some) for some in (searches, left))
     parts, plans = _of_searches(record, searches), _plans(record.plans)
     if 2 * found >= len(searches) and left:  # there were plans to the goal: what came of them counts
-        parts.insert(0, _of_departures(_departures(left), record.method, plans))
+        parts.insert(0, _of_departures(_departures(left), record, plans))
     elif found_left:  # what came of the others would not have led there
         some = _departures([one for one in left if one.found])
-        parts.append(_of_departures(some, record.method, found, " that led to the goal"))
+        parts.append(_of_departures(some, record, found, " that led to the goal"))
     elif any(one.departure and not one.departure.largest < BESIDE * one.missing for one in left):
         some = sorted(_departures(left), key=lambda one: one.largest, reverse=True)
-        parts.append(_of_departures(some, record.method, plans, which="farthest"))
+        parts.append(_of_departures(some, record, plans, which="farthest"))
     if broke:
         return "; ".join([f"{end} at state {last}", *parts])
     if not parts:
@@ -189,7 +189,7 @@ def _of_success(record: TrialRecord) -> str:
     found = [one for one in left if one is not None]
     text = f"plan {count} led to the goal"
     plans = _plans(record.plans[:-1])
-    return f"{text}; before it {_of_departures(found, record.method, plans)}" if found else text
+    return f"{text}; before it {_of_departures(found, record, plans)}" if found else text
 
 
 def _plans(plans: Sequence[PlanRecord]) -> int:
@@ -203,7 +203,7 @@ def _departures(searches: Sequence[Search]) -> list[Departure]:
 
 def _of_departures(
     left: Sequence[Departure],
-    method: str,
+    record: TrialRecord,
     plans: int,
     of: str = "",
     which: Literal["first", "farthest"] = "first",
@@ -212,13 +212,13 @@ def _of_departures(
 
     Args:
         left: one a plan; the first of them is told in full.
-        method: that made the plans.
+        record: whose plans they were.
         plans: how many there were.
         of: which plans, such as " that led to the goal".
         which: what the first of ``left`` is.
     """
     one = left[0]
-    said = score_said(method, one.score)
+    said, what = score_said(record.method, one.score), record.look.what
     touching = _listed(one.touching) if one.touching else "nothing"
     text = f"by {_cm(one.error)} at state {one.state}"
     text += f", where {said}" if said else ""
@@ -227,9 +227,9 @@ def _of_departures(
     if one.largest >= 2 * one.error and np.isfinite(one.largest):
         text += f", and by {_cm(one.largest)} later"
     if plans == 1:
-        return f"the executed rope left the plan{of} {text}"
+        return f"the executed {what} left the plan{of} {text}"
     if len(left) == 1:
-        return f"the executed rope left one of {plans} plans{of}, {text}"
+        return f"the executed {what} left one of {plans} plans{of}, {text}"
     through = sum(bool(each.crossed) for each in left)
     often = "all" if through == len(left) else f"{through}"
     often = f", {often} of which go through obstacles" if 2 * through >= len(left) else ""
@@ -237,7 +237,7 @@ def _of_departures(
     most, count = touches.most_common(1)[0] if touches else ("", 0)
     often += f", {count} times touching {most}" if count > 1 and 2 * count >= len(left) else ""
     full = f"it first left the plan {text}" if which == "first" else f"it left one farthest, {text}"
-    return f"the executed rope left {len(left)} of {plans} plans{of}{often}; {full}"
+    return f"the executed {what} left {len(left)} of {plans} plans{of}{often}; {full}"
 
 
 def _of_crossed(one: Departure) -> str:
@@ -263,7 +263,7 @@ def _of_searches(record: TrialRecord, searches: Sequence[Search]) -> list[str]:
         text = f"{count} found no plan at {where}: all {total} extensions from the start were rejected"
         gap = gaps(record.obstacles, record.points[last], record.grippers[last], record.look)
         near = touched(gap, obstacle_names(record.obstacles))[:MOST_NAMED]
-        parts.append(text + (f", the rope touching {_listed(near)}" if near else ""))
+        parts.append(text + (f", the {record.look.what} touching {_listed(near)}" if near else ""))
     if short:
         nearest = min(one.missing for one in short)
         count = "a search" if len(short) == 1 else f"{len(short)} searches"
