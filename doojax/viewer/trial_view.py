@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from doojax.experiments.drawing import Colour, Drawing
 from doojax.experiments.trials.executed import followed
-from doojax.experiments.trials.judges import name_of_score, score_said
+from doojax.experiments.trials.judges import EXPECTED, name_of_score, score_said
 from doojax.experiments.trials.records import PlanRecord, TrialRecord
 from doojax.experiments.trials.touching import obstacle_names
 from doojax.experiments.trials.trial_list import KEEP
@@ -170,7 +170,7 @@ class TrialView:
         name, level = name_of_score(record.method), record.about.get("score_threshold")
         levels = {} if level is None else {"threshold": float(level)}
         known, lucky = np.isfinite(found.score), np.zeros(len(found.score), dtype=bool)
-        if level is not None and record.method != "deviation":  # whose scores are to be low
+        if level is not None and name != EXPECTED:  # whose scores are to be low
             lucky = known & (found.score < level)
         judged = {"accepted": known & ~lucky, "accepted by luck": lucky}
         states = {kind: np.flatnonzero(which).tolist() for kind, which in judged.items() if which.any()}

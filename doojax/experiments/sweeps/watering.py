@@ -177,14 +177,19 @@ def _adapted(
         config = replace(base, method=method)
         about = {"config": asdict(config), "gamma_m": gamma, "seed": seed}
         about |= digests({"source": out / "source", "target": out / "target"})
-        run = RunDirectory.open(out / f"seed{number}" / method, about)
+        run = RunDirectory.open(out / f"seed{number}" / method / "dynamics", about)
         options: dict[str, Any] = {"seed": seed + number, "capacity": capacity, "run": run, "report": report}
         models[method] = adapt(source, data, gamma, config, **options).dynamics
         alone = Ensemble(members_of(models[method]))
-        saw = seen_data([open_dataset(out / name) for name in ("source", "target")])
-        config_of = {**asdict(source.config), "members": 1}
-        run.finish(Header("dynamics", task, config_of, {"threshold_m": gamma, SAW: saw}), alone)
+        run.finish(_header(out, task, source, gamma, "source", "target"), alone)
+    begun = RunDirectory.open(out / f"seed{number}" / "source" / "dynamics", {"seed": seed, "number": number})
+    begun.finish(_header(out, task, source, gamma, "source"), Ensemble(members_of(source)))
     return gamma, models
+
+
+def _header(out: Path, task: str, source: Any, gamma: float, *saw: str) -> Header:
+    about = {"threshold_m": gamma, SAW: seen_data([open_dataset(out / name) for name in saw])}
+    return Header("dynamics", task, {**asdict(source.config), "members": 1}, about)
 
 
 def _collected(folder: Path, task: str, phase: Any, count: int, seed: int, *names: str) -> Trajectories:

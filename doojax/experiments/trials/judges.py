@@ -6,13 +6,16 @@ from typing import Any
 from doojax.models import Always, CollisionChecker, Conjunction
 
 UNLEARNED = {"always": Always, "collision_checker": CollisionChecker}
+EXPECTED = "expected error, m"
 # Method or kind of a judge -> what its scores are called.
 SCORES = {
     "classifier": "accept probability",
     "voxel_classifier": "accept probability",
     "learned_recovery": "accept probability",
     "random_recovery": "accept probability",
-    "deviation": "expected error, m",
+    "deviation": EXPECTED,
+    "focus": EXPECTED,
+    "all_data": EXPECTED,
     "collision_checker": "clearance, m",
 }
 
@@ -29,7 +32,7 @@ def score_said(judge: str, score: float) -> str:
         return ""
     if meaning == "accept probability":
         return f"the classifier said {score:.2f}"
-    if judge == "deviation":
+    if meaning == EXPECTED:
         return f"an error of {100 * score:.1f} cm was expected"
     return f"the collision checker saw {100 * score:.1f} cm of room"
 

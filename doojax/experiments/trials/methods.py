@@ -1,4 +1,4 @@
-"""The methods of chapter II by name: which dynamics, judged by what, recovering how."""
+"""The methods of chapters II and IV by name: which dynamics, judged by what, recovering how."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -16,11 +16,10 @@ from doojax.simulation.state import Simulator
 from doojax.tasks.base import Task
 
 PRETRAINED = Path(__file__).parents[1] / "pretrained"
-NOT_LEARNED = {"simulator", "always", "collision_checker", "random", None}
 
 
 def find_models(folder: Path | None, task: str) -> dict[str, Path]:
-    """The files of models in a folder and the folders in it, by kind.
+    """The files of models in a folder and the folders in it, by kind; further down, by FOLDER/kind.
 
     Raises:
         FileNotFoundError: there is no such folder.
@@ -33,13 +32,15 @@ def find_models(folder: Path | None, task: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder of models {folder}")
-    for path in sorted([*folder.glob("*.eqx"), *folder.glob("*/model.eqx")]):
+    near = sorted([*folder.glob("*.eqx"), *folder.glob("*/model.eqx")])
+    for path in [*near, *sorted(folder.glob("*/*/model.eqx"))]:
         header, _ = read_header(path)
         if header.task != task:
             raise ValueError(f"{path} was trained for the task {header.task!r}, not for {task!r}")
-        if header.kind in found:
-            raise ValueError(f"{found[header.kind]} and {path} are both of kind {header.kind!r}: keep one")
-        found[header.kind] = path
+        name = header.kind if path in near else f"{path.parents[1].name}/{header.kind}"
+        if name in found:
+            raise ValueError(f"{found[name]} and {path} are both of kind {header.kind!r}: keep one")
+        found[name] = path
     return found
 
 
@@ -59,18 +60,17 @@ def needed_models(name: str, models: Mapping[str, Path]) -> dict[str, Path]:
     """
     if name not in RECIPES:
         raise ValueError(f"unknown method {name!r}, expected one of {', '.join(RECIPES)}")
-    recipe = RECIPES[name]
-    kinds = {recipe.dynamics, recipe.reliability, recipe.recovery, recipe.policy} - NOT_LEARNED
-    if not models:
-        kinds -= {"dynamics"}
-    missing = sorted(kind for kind in kinds if kind and kind not in models)
+    names = dict(RECIPES[name].names)
+    if not models and RECIPES[name].folder is None:
+        names.pop("dynamics", None)
+    missing = [one for one in names.values() if one not in models]
     if missing:
         there = ", ".join(models) or "none"
         raise ValueError(
             f"method {name!r} needs models of kind {', '.join(missing)}; there are: {there}. Train them with "
             "doojax train, and name their folder by --models"
         )
-    return {kind: models[kind] for kind in sorted(k for k in kinds if k)}
+    return {kind: models[one] for kind, one in names.items()}
 
 
 def make_method(
