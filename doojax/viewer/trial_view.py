@@ -294,9 +294,12 @@ class TrialView:
     def _meanings(self, index: int | None) -> dict[str, Colour | str]:
         """What colours mean, with the numbers at the ends of the tree's."""
         record = self._of()
-        meanings: dict[str, Colour | str] = {"rope, executed": self._colour, "as planned": colours.PREDICTION}
+        what = record.look.what
+        executed = {f"{what}, executed": self._colour, "as planned": colours.PREDICTION}
+        meanings: dict[str, Colour | str] = dict(executed)
         meanings |= {name: colours.method_colour(name) for name in self._others}
-        meanings |= SAME | {"obstacle": colours.OBSTACLE}
+        meanings |= {name: SAME[name] for name in SAME if what == "rope" or name == "chosen path"}
+        meanings |= {"obstacle": colours.OBSTACLE}
         if recovering(record).any():
             meanings["recoveries"] = colours.RECOVERY
         if index is None or not kept(record.plans[index], extensions_of(record, index)):
