@@ -4,9 +4,12 @@ All of them do the same, `doojax.experiments.sweeps.worker.work`, and share noth
 which every machine has to see. So an executor is no more than a way to start one and to see that it ended.
 """
 
+import getpass
+import math
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -20,6 +23,8 @@ from doojax.parts import processors
 ExecutorName = Literal["local", "ray", "submitit"]
 WORKER = (sys.executable, "-m", "doojax.experiments.sweeps.worker")
 JOBS = "jobs"  # SLURM's scripts and logs, below the sweep's folder
+SQUEUE = ("squeue", "-h", "-o", "%A", "-t", "PD,R,S,CF,CG", "-u")  # of whom
+ASK_EVERY = 5.0  # s, of SLURM: it has others to serve
 MINUTES = 24 * 60  # of a job, where SBATCH_TIMELIMIT says nothing: submitit's own 5 would end most cells
 
 
@@ -113,13 +118,15 @@ class RayWorker:
 class Job:
     """A job of submitit."""
 
-    def __init__(self, job: Any):
-        """Of what an executor's submit returned."""
-        self._job = job
+    def __init__(self, job: Any, queue: "Queue | None"):
+        """Of what an executor's submit returned; without a queue it is a process on this machine."""
+        self._job, self._queue, self._submitted = job, queue, time.monotonic()
 
     def poll(self) -> object:
         """None while it waits or runs; True when it is over, failed or was lost."""
-        return True if self._job.done() else None
+        if self._queue is None:
+            return True if self._job.done() else None
+        return None if self._queue.holds(self._job.job_id, self._submitted) else True
 
     def terminate(self) -> None:
         """Have it end soon."""
@@ -129,10 +136,29 @@ class Job:
         """Nothing to wait for: SLURM ends what was cancelled."""
 
 
+class Queue:
+    """This user's jobs that wait or run. Unlike sacct, which submitit asks, squeue needs no accounting."""
+
+    def __init__(self):
+        """Nothing has been asked yet."""
+        self._jobs: set[str] = set()
+        self._asked = self._known = -math.inf  # when; _known: with an answer
+
+    def holds(self, job: str, submitted: float) -> bool:
+        """Does a job wait or run, as far as SLURM has said since it was submitted?"""
+        if time.monotonic() - self._asked > ASK_EVERY:
+            self._asked = time.monotonic()
+            answer = subprocess.run([*SQUEUE, getpass.getuser()], capture_output=True, text=True)
+            if answer.returncode == 0:  # otherwise it is too busy to say
+                self._jobs, self._known = set(answer.stdout.split()), self._asked
+        return self._known < submitted or job in self._jobs
+
+
 def _submitit(out: Path) -> Start:
     import submitit  # pyright: ignore[reportMissingImports]
 
-    jobs = submitit.AutoExecutor(folder=out / JOBS, cluster=None if shutil.which("sbatch") else "local")
+    slurm = shutil.which("sbatch") is not None
+    jobs = submitit.AutoExecutor(folder=out / JOBS, cluster="slurm" if slurm else "local")
     jobs.update_parameters(name="doojax-sweep", timeout_min=MINUTES, cpus_per_task=1, tasks_per_node=1)
-    where = Path.cwd()
-    return lambda folder: Job(jobs.submit(work_from, where, folder))
+    where, queue = Path.cwd(), Queue() if slurm else None
+    return lambda folder: Job(jobs.submit(work_from, where, folder), queue)

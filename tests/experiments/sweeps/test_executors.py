@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import signal
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,30 @@ def test_a_folder_without_locks_is_refused_where_other_machines_work(tmp_path, m
         require_locks(tmp_path)
 
 
+def test_slurm_is_asked_now_and_then_and_a_job_is_over_when_its_queue_lacks_it(monkeypatch):
+    clock, answers = [100.0], []
+
+    def run(command, **_):
+        assert command[0] == "squeue"
+        return answers.pop(0)
+
+    monkeypatch.setattr("subprocess.run", run)
+    monkeypatch.setattr("time.monotonic", lambda: clock[0])
+    queue = executors.Queue()
+    busy, both, one = (
+        subprocess.CompletedProcess([], code, out) for code, out in ((1, ""), (0, "7\n8\n"), (0, "8\n"))
+    )
+    answers += [busy, both, one]
+    assert queue.holds("7", submitted=99.0)  # SLURM was too busy to answer
+    clock[0] += 1
+    assert queue.holds("7", submitted=99.0) and len(answers) == 2  # not asked so soon again
+    clock[0] += executors.ASK_EVERY
+    assert queue.holds("7", submitted=99.0) and len(answers) == 1
+    assert not queue.holds("6", submitted=99.0) and queue.holds("9", submitted=clock[0] + 0.1)
+    clock[0] += executors.ASK_EVERY + 1
+    assert not queue.holds("7", submitted=99.0) and queue.holds("8", submitted=99.0)
+
+
 @pytest.mark.slow
 def test_a_killed_node_of_ray_loses_nothing(far):
     ray = pytest.importorskip("ray", reason="pip install 'doojax[ray]'")
@@ -125,9 +150,10 @@ def test_the_command_starts_a_ray_of_its_own_where_there_is_none(far):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # it leaves processes unwaited
-def test_a_killed_job_of_submitit_loses_nothing(far):
+def test_a_killed_job_of_submitit_loses_nothing(far, monkeypatch):
     pytest.importorskip("submitit", reason="pip install 'doojax[slurm]'")
-    cells, killed = prepared(far, 20, 0.3), []
+    monkeypatch.setattr("shutil.which", lambda _: None)  # no SLURM: its processes might be of other machines
+    cells, killed, started = prepared(far, 30, 0.5), [], []
 
     def report(done: int, failed: int) -> None:
         if done >= 4 and not killed:
@@ -135,9 +161,9 @@ def test_a_killed_job_of_submitit_loses_nothing(far):
             os.kill(killed[0], signal.SIGKILL)
 
     with executor("submitit", far) as (start, _):
-        supervise(far, cells, 2, report, start)
+        supervise(far, cells, 2, report, lambda folder: started.append(start(folder)) or started[-1])
     assert killed and done(far) == len(rows_of(far, cells)) == len(cells)
     begun = pids(far)
     assert sum(map(len, begun)) <= len(cells) + 1
-    assert len({pid for who in begun for pid in who}) == 3  # two, and one in the place of the killed
+    assert len(started) == 3  # two, and one in the place of the killed
     assert list((far / executors.JOBS).glob("*.pkl"))
