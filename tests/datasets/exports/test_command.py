@@ -123,9 +123,9 @@ def test_lerobot_itself_reads_it(folder, tmp_path):
 
 @pytest.mark.slow  # an environment of its own
 def test_minari_itself_reads_it(folder, tmp_path):
-    export(folder, format="minari", out=tmp_path / "known-v0")
+    export(folder, format="minari", out=tmp_path / "all/known-v0")
     subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
     python = str(tmp_path / "venv/bin/python")
     subprocess.run([python, "-m", "pip", "install", "-q", "minari[hdf5]", "pillow"], check=True, timeout=600)
-    said = read_by(python, MINARI, MINARI_DATASETS_PATH=str(tmp_path))
+    said = read_by(python, MINARI, MINARI_DATASETS_PATH=str(tmp_path / "all"))
     assert "'train'" in said and "known-v0" in said
