@@ -79,15 +79,16 @@ class Episodes:
     def about(self) -> dict[str, Any]:
         """What made the data, and what their fields are, for a reader of the export."""
         manifest = self.dataset.manifest
+        told = [name for name in manifest.fields if name in (*self.arrays, "environment")]
         return {
             "config": manifest.config,
             "versions": manifest.versions,
             "control_period_s": self.period,
             "left_out_without_values": self.left_out,
-            "left_out": [name for name in manifest.fields if name not in (*self.arrays, "environment")],
+            "left_out": [name for name in manifest.fields if name not in told],
             "fields": {
                 name: {**asdict(manifest.fields[name]), "coordinates": self.coordinates(name)}
-                for name in self.arrays
+                for name in told
             },
         }
 

@@ -114,7 +114,7 @@ def _as_it_was(
         if not isinstance(held, str) or wanted not in (None, held):
             raise ValueError(f"{source} has data of the {name} {held!r}, not {wanted!r}: leave --{name} out")
     fields = {name: field.plain for name, field in about.fields.items()}
-    if "environment" in arrays:
+    if "environment" not in fields:  # trajectories were scenes of their own
         fields["environment"] = field_of("environment", arrays["environment"])
     typed = {name: arrays[name].astype(field.dtype) for name, field in fields.items()}
     for name, values in typed.items():
@@ -158,7 +158,7 @@ def _words(found: Recorded, arrays: Mapping[str, np.ndarray], task: str) -> list
         now = split_by_environment(arrays["environment"])
         moved = sum(found.splits[row] != name for name, rows in now.items() for row in rows)
         lines.append(
-            f"{missing} trajectories without values were not exported; without them {moved} others are in "
+            f"trajectories without values were not exported: {missing}; without them {moved} others are in "
             "another split than before"
         )
     return lines

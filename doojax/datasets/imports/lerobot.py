@@ -134,6 +134,8 @@ def _exported(frames: Frames, own: About, episodes: pa.Table) -> Recorded:
     order = np.argsort(told["trajectory"])
     arrays = {"environment": np.array(told["environment"], np.int32)[order]}
     for name, field in own.fields.items():
+        if name in arrays:
+            continue
         names = list(field.coordinates)
         if name in ("actions", "faults"):
             values = frames.numbers(names if name == "actions" else [NEXT + one for one in names])

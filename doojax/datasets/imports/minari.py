@@ -67,13 +67,16 @@ def _read(stored: h5py.File, metadata: dict[str, Any], own: About | None, folder
     numbered = own is not None or all("trajectory" in group.attrs for group in groups)
     order = np.argsort([group.attrs["trajectory"] for group in groups]) if numbered else np.arange(count)
     groups = [groups[number] for number in order]
-    wanted = list(own.fields) if own else [*NEEDED, *_given(groups), "actions"]
+    wanted = (
+        [name for name in own.fields if name != "environment"]
+        if own
+        else [*NEEDED, *_given(groups), "actions"]
+    )
     arrays = {name: _stacked(name, groups, steps, folder) for name in wanted}
-    for name, field in own.fields.items() if own else ():
-        if arrays[name].shape[1:] != field.shape:
-            raise ValueError(
-                f"{folder}: {name} has the shape {arrays[name].shape[1:]}, expected {field.shape}"
-            )
+    expected = {name: own.fields[name].shape for name in wanted} if own else {}
+    for name, shape in expected.items():
+        if (found := arrays[name].shape[1:]) != shape:
+            raise ValueError(f"{folder}: {name} has the shape {found}, expected {shape}")
     if all("environment" in group.attrs for group in groups):
         arrays["environment"] = np.array([group.attrs["environment"] for group in groups], np.int32)
     splits = [str(group.attrs.get("split", "")) for group in groups] if own else []
