@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from doojax.benchmarks.dense_fluid import dense_step
+from doojax.benchmarks.shaken_fluid import shaken_rows, transition_rows
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
 from doojax.experiments.reports.rows import Row
@@ -50,7 +51,7 @@ def fluid(
     json: bool = False,
     publish: Path | None = None,
 ) -> None:
-    """Measure the fluid against a column at rest, a dam that breaks, and all pairs.
+    """Measure the fluid: columns at rest, a dam that breaks, shaken cups; pours and steps per second.
 
     Args:
         sizes: particles, of which steps are timed.
@@ -66,6 +67,9 @@ def fluid(
         ("a column at rest in space", lambda: column_rows(3)),
         ("a dam that breaks", front_rows),
         ("viscosities", viscosity_rows),
+        ("cups that are shaken", shaken_rows),
+        ("pours in the plane", lambda: transition_rows("watering_2d")),
+        ("pours in space", lambda: transition_rows("watering")),
     ]
     for count in sizes:
         pairs = dense and count <= MOST_BY_PAIRS

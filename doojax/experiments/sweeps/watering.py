@@ -60,7 +60,7 @@ class WateringStudySettings(Counts):
 
     source_trajectories: int = 192  # of 6 transitions each
     trajectories: int = 143  # of the target: 858 transitions
-    test_trajectories: int = 64  # of the target
+    test_trajectories: int = 128  # of the target: about a fifth of their transitions are alike
     tested: int = 130  # transitions of these that are alike
     source_epochs: int = 150
     epochs: int = 60  # of adaptation
@@ -74,7 +74,7 @@ def watering_study(
     out: Path,
     task: Place = "watering_2d",
     methods: tuple[AdaptationMethod, ...] = METHODS,
-    seeds: int = 5,
+    seeds: int = 10,
     settings: WateringStudySettings = SETTINGS,
     seed: int = 0,
     json: bool = False,

@@ -108,17 +108,18 @@ def find_neighbours(
     method = "compare_all" if count <= FEW else "scan"  # which has a loop
     first, end = jnp.searchsorted(keys, edges, method=method)
 
-    # a row holds twice as many lines of particles in space as in the plane, its corners' fewer
-    widths = [2 if dimensions == 2 or abs(offset).sum() > 1 else 3 for offset in offsets]  # bytes
-    row = np.repeat(np.arange(len(offsets)), widths)
-    byte = np.concatenate([np.arange(width) for width in widths])
+    # a row holds twice as many lines of particles in space as in the plane, those beside a corner, too: a
+    # particle that is near an edge of its own row has as much of those in reach
+    width = 2 if dimensions == 2 else 3  # bytes
+    row = np.repeat(np.arange(len(offsets)), width)
+    byte = np.tile(np.arange(width), len(offsets))
     starts = first[row] + BYTE * byte[:, None]
     at = starts[:, None] + np.arange(BYTE)[None, :, None]  # [groups, bits, P]
     found = jnp.minimum(at, count - 1)
     square = sum((take(one, found) - one) ** 2 for one in x)
     beside = (square < reach**2) & (at < end[row][:, None])
     bits = (beside * jnp.asarray(2 ** np.arange(BYTE), jnp.int32)[None, :, None]).sum(1)
-    more = end - first > BYTE * np.array(widths)[:, None]
+    more = end - first > BYTE * width
     return _packed(bits, starts, more.any(), capacity)
 
 

@@ -21,7 +21,7 @@ from doojax.simulation.scenes import Obstacle, primitives_at
 from doojax.simulation.state import Fault, SimState, Start, find_faults
 from doojax.types import Obstacles, PouringState, ShapeKind, Trajectory
 
-FLOOR = (2.5, 2.5, 0.25)  # m, half sizes of the box below z = 0 that spilled fluid lies on
+FLOOR = (50.0, 50.0, 0.25)  # m, half sizes of the box below z = 0; spilled fluid gets metres away
 PART = 4  # elements in one call, of a large batch on a CPU
 
 

@@ -57,6 +57,16 @@ def test_particles_on_the_edges_of_rows_are_found():
     assert here == expected
 
 
+def test_a_crowd_in_a_corner_of_rows_is_found():
+    """A block whose first particles stand 1 mm from the edges of their rows: of a row that meets theirs in
+    an edge alone, two by two lines of five particles are in reach."""
+    axis = 0.001 + np.arange(-3, 3, dtype=np.float32) * np.float32(0.495 * REACH)
+    grid = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    here, dropped = pairs(grid, capacity=40)
+    assert not dropped
+    assert here == all_pairs(grid)
+
+
 def test_a_large_region_finds_the_same_pairs():
     """Of 201 by 201 rows x is cut into fewer parts."""
     positions = np.random.default_rng(2).uniform(-0.3, 0.3, (COUNT, 3)).astype(np.float32)
