@@ -33,7 +33,7 @@ from doojax.experiments.reports.summary import publish_rows, row
 from doojax.experiments.reports.tables import cells
 from doojax.experiments.trials.executed import wrong_among_accepted
 from doojax.experiments.trials.outcomes import COUNTS, SCENES, Outcomes, read_evaluation
-from doojax.experiments.trials.scenes import FOLDER, SceneSet, load_scenes, rule
+from doojax.experiments.trials.scenes import FOLDER, SceneSet, load_scenes
 from doojax.experiments.trials.setting import TrialSettings
 from doojax.experiments.trials.trial import CRASHED
 from doojax.files import file_digest, write_whole
@@ -85,7 +85,7 @@ def compare(folder: Path, /, *, out: Path | None = None, publish: Path | None = 
         [
             f"# {task}: {len(outcomes)} methods on {trials} {kind}",
             "",
-            f"Scenes: {rule(scenes.difficulty, scenes.caught)}.",
+            f"Scenes: {scenes.rule}.",
             "",
             f"Made by `{command}`, seed {config['seed']}.",
             "",
@@ -274,6 +274,9 @@ def summary_rows(about: dict[str, str], outcomes: Sequence[Outcomes]) -> list[Ro
             "recovery_actions": (total, ""),
             "plan_s": (bootstrap(one.plan_s), "s"),
         }
+        if one.volumes is not None:
+            parts = dict(zip(("poured", "spilled"), one.volumes.T, strict=True))
+            figures |= {name: (bootstrap(values), "") for name, values in parts.items()}
         rows += [row(name, tags, e.value, unit, e.low, e.high, e.n) for name, (e, unit) in figures.items()]
         rows.append(row("evaluate_minutes", tags, one.minutes, "min", n=n))
         if wrong := wrong_among_accepted(one.judged):

@@ -12,6 +12,7 @@ from doojax.experiments.trials.executed import counts_of
 from doojax.experiments.trials.methods import RECIPES
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.records import TrialRecord
+from doojax.experiments.trials.volumes import volumes_of
 from doojax.experiments.trials.why import why
 from doojax.reading import checked, read_json, read_lines
 from doojax.tasks import make_task
@@ -64,6 +65,7 @@ class Outcomes:
     whys: tuple[str, ...]  # why it came out as it did
     minutes: float  # that the evaluation took, all told
     goal_radius: float  # m
+    volumes: Float[np.ndarray, "n 2"] | None = None  # of containers: poured and spilled in the end
 
     def only(self, trials: Int[np.ndarray, "k"]) -> "Outcomes":
         """Those of some scenes."""
@@ -79,6 +81,7 @@ class Outcomes:
             judged=self.judged[kept],
             ends=tuple(self.ends[i] for i in chosen),
             whys=tuple(self.whys[i] for i in chosen),
+            volumes=None if self.volumes is None else self.volumes[kept],
         )
 
 
@@ -115,6 +118,7 @@ def read_outcomes(folder: Path) -> Outcomes:
     if len(trials) < len(files):
         raise ValueError(f"{folder} holds records that are no trials: delete them")
     figures = [_figures(path, record) for path, record in zip(files, trials, strict=True)]
+    pours = bool(trials) and trials[0].look.what == "container"
     seconds = read_lines(folder / SECONDS, Seconds, "the seconds that trials took")
     return Outcomes(
         method=folder.name,
@@ -128,6 +132,7 @@ def read_outcomes(folder: Path) -> Outcomes:
         whys=tuple(map(why, trials)),
         minutes=sum(one.seconds for one in seconds) / 60,
         goal_radius=trials[0].goal_radius if trials else 0.0,
+        volumes=np.array([volumes_of(record)[-1] for record in trials]) if pours else None,
     )
 
 

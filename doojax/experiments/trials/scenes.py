@@ -46,6 +46,7 @@ NARROW = 3.0  # rope radii: of the largest ball for which there is a way
 RULES: dict[Difficulty, str] = {"easy": "", "narrow": "; no way is wider than three ropes"}
 RULES["dense"] = "; there are twice as many obstacles as the task has"
 RULE = "an obstacle blocks the straight way of the goal's point, yet a way as wide as the rope leads there"
+DRAWN_AS_THEY_ARE = "starts and goals as the task draws them"
 CAUGHT = "; random actions led to the start, and an obstacle held back the last of them"
 RANDOM_ACTIONS = 12
 TOUCHING, HELD_BACK = 1e-3, 1e-2  # m
@@ -73,6 +74,13 @@ class SceneSet:
         """The name of the random stream that they come from."""
         names = stream_names(self.task, self.difficulty, self.caught, self.purpose, self.fixed)
         return "/".join(names)
+
+    @property
+    def rule(self) -> str:
+        """What all of them have in common."""
+        if isinstance(make_task(self.task, crowd=self.crowd), Sampling):
+            return DRAWN_AS_THEY_ARE
+        return rule(self.difficulty, self.caught)
 
     @property
     def crowd(self) -> int:
@@ -145,7 +153,7 @@ def scenes(
         interval = f"{mean.low:.3f} to {mean.high:.3f}"
         table.add_row(name, f"{mean.value:.3f}", interval, f"{values.min():.3f}", f"{values.max():.3f}")
     Console().print(table)
-    Console(stderr=True).print(f"wrote {out}: {rule(difficulty, caught)}", highlight=False, markup=False)
+    Console(stderr=True).print(f"wrote {out}: {drawn.rule}", highlight=False, markup=False)
 
 
 def rule(difficulty: Difficulty, caught: bool) -> str:
@@ -259,7 +267,7 @@ def save_scenes(path: Path, scenes: SceneSet) -> None:
         **({"fixed": True} if scenes.fixed else {}),
         "rope": scenes.rope.given,
     }
-    header |= {"rule": rule(scenes.difficulty, scenes.caught)}
+    header |= {"rule": scenes.rule}
     arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
     arrays |= {f"start/{name}": np.asarray(getattr(scenes.starts, name)) for name in STATE}
     arrays |= {f"model/{name}": np.asarray(values) for name, values in scenes.starts.model_fields.items()}
