@@ -70,7 +70,7 @@ def test_a_crowd_in_a_corner_of_rows_is_found():
 def test_a_large_region_finds_the_same_pairs():
     """Of 201 by 201 rows x is cut into fewer parts."""
     positions = np.random.default_rng(2).uniform(-0.3, 0.3, (COUNT, 3)).astype(np.float32)
-    here, dropped = pairs(positions, region=Box((-10.0,) * 3, (10.0,) * 3))
+    here, dropped = pairs(positions, region=Box((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0)))
     assert not dropped
     assert here == all_pairs(positions)
 
