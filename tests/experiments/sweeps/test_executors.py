@@ -5,6 +5,8 @@ import json
 import os
 import signal
 import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -134,6 +136,43 @@ def test_a_killed_node_of_ray_loses_nothing(far):
     begun = pids(far)
     assert sum(map(len, begun)) <= len(cells) + 1  # but for the one that the node was at, each once
     assert len({pid for who in begun for pid in who}) >= 3  # on the head, the lost and the new node
+
+
+DRIVE = """
+import sys
+from pathlib import Path
+import far
+from doojax.experiments.sweeps import command, executors
+executors.work_from = far.work
+command.sweep(Path("spec.yaml"), out=Path("out"), executor="ray")
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_driver_of_ray_goes_on_where_it_was(far, monkeypatch):
+    pytest.importorskip("ray", reason="pip install 'doojax[ray]'")
+    cluster_utils = pytest.importorskip("ray.cluster_utils")
+    Path("spec.yaml").write_text(
+        f"command: doojax nap {{who}} --out {{out}} --seconds 0.3\ngrid: {{who: {[*range(24)]}}}\n"
+    )
+    cluster = cluster_utils.Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False}
+    )
+    monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+    try:
+        driver = subprocess.Popen([sys.executable, "-c", DRIVE])
+        deadline = time.monotonic() + 120
+        while done(far) < 4 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        driver.kill()
+        driver.wait()
+        before = done(far)
+        subprocess.run([sys.executable, "-c", DRIVE], check=True, timeout=300)
+    finally:
+        cluster.shutdown()
+    assert 4 <= before < 24 == done(far)
+    assert sum(map(len, pids(far))) <= 24 + 2  # but for those that two workers were at, each once
+    assert len((far / "sweep.csv").read_text().splitlines()) == 25
 
 
 @pytest.mark.slow
