@@ -31,6 +31,7 @@ from doojax.planning import RrtSettings, require_reachable
 from doojax.planning.recovery import RandomRecovery
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Simulator
+from doojax.simulation.tracking import EXACT, Tracking, tracked
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
 from doojax.tasks.ropes import OWN, OtherRope
@@ -68,6 +69,7 @@ def online(
     models: Path | None = None,
     threshold: float | None = None,
     rope: OtherRope = OWN,
+    tracking: Tracking = EXACT,
     engine: str = "auto",
     planning: RrtSettings = PLANNING,
     budget: TrialSettings = BUDGET,
@@ -99,6 +101,7 @@ def online(
         threshold: of the model error (m) below which a prediction counts as right, or is to be for a plan to
             use it; by default the one that was found when the dynamics were trained.
         rope: what of the rope differs from the task's own, in all scenes.
+        tracking: how far off a robot is that is not exact; goals count as reached where they are in truth.
         engine: that executes: auto, mujoco, mjx or warp.
         planning: how a tree is grown.
         budget: when a trial ends.
@@ -143,10 +146,12 @@ def online(
         if not learner.stationary:
             own = adapting if learner.name in ADAPTED else learning
             about |= {"learning": asdict(own), "threshold": threshold}
+        if not tracking.exact:
+            about["tracking"] = asdict(tracking)
         saw = tuple(load_model(file)[1].about.get(SAW, []) for file in found.values())
         setting = Setting(
             task=the_task,
-            simulator=simulator,
+            simulator=tracked(simulator, tracking),
             held_out=held_out,
             episodes=episodes,
             evaluate_every=evaluate_every,

@@ -38,6 +38,7 @@ from doojax.keys import check_seed
 from doojax.planning import RrtSettings, require_reachable
 from doojax.simulation.engines import resolve_engine
 from doojax.simulation.state import Simulator
+from doojax.simulation.tracking import EXACT, Tracking, tracked
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
 from doojax.tasks.ropes import OWN, OtherRope, carrying
@@ -58,6 +59,7 @@ def evaluate(
     trials: int | None = None,
     seed: int = 0,
     rope: OtherRope = OWN,
+    tracking: Tracking = EXACT,
     engine: str = "auto",
     planning: RrtSettings = PLANNING,
     budget: TrialSettings = BUDGET,
@@ -85,6 +87,7 @@ def evaluate(
         trials: how many, from the first scene on; by default one for every scene.
         seed: of everything that is random.
         rope: what of the rope differs from the task's own, in all scenes; they may bring one of their own.
+        tracking: how far off a robot is that is not exact; goals count as reached where they are in truth.
         engine: that executes: auto, mujoco, mjx or warp.
         planning: how a tree is grown.
         budget: when a trial ends.
@@ -144,10 +147,12 @@ def evaluate(
         "accept": accept,
         **({} if margin is None else {"margin": margin}),
         **({"arms": True} if arms else {}),
+        **({} if tracking.exact else {"tracking": asdict(tracking)}),
         "allow_seen": allow_seen,
     }
     simulator = the_task.simulator(engine)
     require_reachable(the_task, jax.vmap(simulator.obstacles)(scene_set.starts), scene_set.goals)
+    robot = tracked(simulator, tracking)
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
     with alone_in(out):
         claim(out, CONFIG, config, "evaluation")
@@ -173,7 +178,7 @@ def evaluate(
                     fresh = [i for i in missing if i // side_by_side == group]
                     wanted = [n in fresh and numbers.index(n) == k for k, n in enumerate(numbers)]
                     chosen = chosen_trials(scene_set, numbers, seed)._replace(wanted=wanted)
-                    records = attempted(the_task, simulator, method, planning, budget, chosen, keep_trees)
+                    records = attempted(the_task, robot, method, planning, budget, chosen, keep_trees)
                     for i in fresh:
                         record = records[numbers.index(i)]
                         save_record(record_file(out, name, i), record)

@@ -1,14 +1,17 @@
 """Executing a recorded trial again: from its first state, by its actions."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from doojax.experiments.trials.records import TrialRecord
 from doojax.simulation.state import SimState, Simulator
+from doojax.simulation.tracking import Tracked, Tracking
 from doojax.tasks.base import observed
 
 MODEL = "model/"  # before the names of model fields, which carry another rope
+TRACKING = "tracking"  # the name of the random key of a robot's errors
 REPLAYED = ("qpos", "qvel", "commanded", "obstacle_position", "obstacle_quaternion", "holding")
 
 
@@ -45,10 +48,21 @@ def replay(simulator: Simulator, record: TrialRecord) -> Float[np.ndarray, "T1 N
     Raises:
         ValueError: for a record that does not hold them.
     """
-    states = start_of(record)
+    simulator, states = _as_known(simulator, record, start_of(record))
     seen = observed(simulator, states)
     points = [np.asarray(seen.bodies()[0, : seen.passive])]
     for action in record.replay["actions"]:
         states, trajectory = simulator.rollout(states, jnp.asarray(action)[None, None])
         points.append(np.asarray(trajectory.states.bodies()[0, -1, : seen.passive]))
     return np.stack(points)
+
+
+def _as_known(simulator: Simulator, record: TrialRecord, true: SimState) -> tuple[Simulator, SimState]:
+    """The robot that executed a trial, and its first state."""
+    if TRACKING not in record.replay:
+        return simulator, true
+    settings = record.about["tracking"]
+    camera = settings["camera"]
+    robot = Tracked(simulator, Tracking(**{**settings, "camera": camera and tuple(camera)}))
+    keys = jax.random.wrap_key_data(jnp.asarray(record.replay[TRACKING], jnp.uint32))[None]
+    return robot, robot.begun(true, keys)

@@ -25,6 +25,7 @@ from doojax.experiments.trials.judges import threshold_of
 from doojax.experiments.trials.log import REACHED, Log, element, record_plan
 from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.setting import Method, Trials, TrialSettings
+from doojax.experiments.trials.truth import tracking_keys, with_truth
 from doojax.experiments.trials.why import explained
 from doojax.keys import numbered, stream
 from doojax.models.policy import Policy
@@ -45,6 +46,7 @@ from doojax.planning.memory import remembered
 from doojax.planning.metric import rope_sample
 from doojax.planning.recovery import recovery_action
 from doojax.simulation.state import SimState, Simulator
+from doojax.simulation.tracking import Tracked
 from doojax.tasks.base import Sampling, Task, observed
 from doojax.types import Obstacles, State
 
@@ -79,13 +81,16 @@ def run_trials(
         execute: false to end every trial after its first search.
 
     Returns:
-        R records; their ``replay`` holds what `replay` needs, their ``about`` counts and seconds.
+        R records; their ``replay`` holds what `replay` needs, their ``about`` counts and seconds. Where the
+        simulator is a `Tracked`, they hold what was known, and whether the goal was reached in truth.
     """
     sampler = task.sample if isinstance(task, Sampling) else rope_sample
     planner = Rrt(method.dynamics, method.reliability, task, planning, sampler)
     states, goals = trials.starts, trials.goals
     obstacles = jax.vmap(simulator.obstacles)(states)
     keys = numbered(stream(trials.seed, trials.purpose), np.asarray(trials.numbers, np.uint32))
+    if isinstance(simulator, Tracked):
+        states = simulator.begun(states, tracking_keys(trials))
     seen = observed(simulator, states)
     logs = [Log([bodies], seen.passive) for bodies in np.asarray(seen.bodies())]
     count, nothing = seen.bodies().shape[1], nothing_of(task.actions)
@@ -101,7 +106,7 @@ def run_trials(
             if refused and log.end is None:
                 log.stop(refused)
     if method.policy is not None:
-        _follow(task, simulator, method.policy, settings, trials, logs, limits, execute)
+        states = _follow(task, simulator, method.policy, settings, states, goals, logs, limits, execute)
     for turn in range(0 if method.policy is not None else settings.searches + 1):
         _judge(logs, goals, seen, turn, settings)
         running = np.array([log.end is None for log in logs])
@@ -137,17 +142,19 @@ def run_trials(
                 logs[i].recoveries += 1
                 logs[i].note("recover", "nothing that was tried is reliable")
         states, seen = carry_out(simulator, states, seen, goals, logs, moves, settings, limits)
-    return [
+    records = [
         _record(task, method, log, trials, i, *element((obstacles, trials.starts, goals), i))
         for i, log in enumerate(logs)
     ]
+    return with_truth(records, simulator, states, trials) if isinstance(simulator, Tracked) else records
 
 
 def crashed(
     task: Task, simulator: Simulator, method: Method, trials: Trials, error: Exception, details: str
 ) -> TrialRecord:
     """The record of a trial, the first of ``trials``, that an error ended: it stayed where it started."""
-    seen = observed(simulator, trials.starts)
+    true = simulator.simulator if isinstance(simulator, Tracked) else simulator
+    seen = observed(true, trials.starts)
     here = element((jax.vmap(simulator.obstacles)(trials.starts), trials.starts, trials.goals), 0)
     log = Log([np.asarray(seen.bodies()[0])], seen.passive)
     log.missing = float(distances(trials.goals, seen)[0])
@@ -197,23 +204,25 @@ def _follow(
     simulator: Simulator,
     policy: Policy,
     settings: TrialSettings,
-    trials: Trials,
+    states: SimState,
+    goals: Goal,
     logs: Sequence[Log],
     limits: Float[np.ndarray, "R"],
     execute: bool,
-) -> None:
-    """Have a policy act in every trial, one control period after another, if anything is to be executed."""
-    states, goals = trials.starts, trials.goals
+) -> SimState:
+    """Have a policy act in every trial, one control period after another, if anything is to be executed; the
+    last states."""
     obstacles, seen = jax.vmap(simulator.obstacles)(states), observed(simulator, states)
     for _ in range(settings.actions + 1):
         _judge(logs, goals, seen, 0, settings)
         for log in logs if not execute else []:
             log.stop(NOT_EXECUTED)
         if all(log.end is not None for log in logs):
-            return
+            break
         actions = np.asarray(_acts(task, policy, obstacles, seen, goals))
         moves = [Moves(action[None]) for action in actions]
         states, seen = carry_out(simulator, states, seen, goals, logs, moves, settings, limits)
+    return states
 
 
 @eqx.filter_jit
