@@ -8,6 +8,7 @@ import pytest
 from doojax.experiments.online.experience import trajectory_of
 from doojax.experiments.trials.execution import distances
 from doojax.experiments.trials.record_files import load_record, save_record
+from doojax.experiments.trials.records import TrialRecord
 from doojax.experiments.trials.replay import replay
 from doojax.experiments.trials.trial import crashed, run_trials
 from doojax.experiments.trials.truth import AS_SEEN, with_truth
@@ -56,7 +57,9 @@ def test_a_goal_that_is_only_seen_to_be_reached_is_not_reached(of_robot):
 def test_trials_of_a_robot_are_executed_again_to_what_was_known(of_robot, tmp_path):
     for index, record in enumerate(of_robot):
         save_record(tmp_path / f"{index}.npz", record)
-        again = replay(SIMULATOR, load_record(tmp_path / f"{index}.npz"))
+        loaded = load_record(tmp_path / f"{index}.npz")
+        assert isinstance(loaded, TrialRecord)
+        again = replay(SIMULATOR, loaded)
         assert np.allclose(again, record.points, atol=1e-6)
 
 
