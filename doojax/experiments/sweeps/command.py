@@ -17,7 +17,7 @@ from doojax.experiments.reports.summary import SUMMARY, read_summary
 from doojax.experiments.sweeps import executors
 from doojax.experiments.sweeps.executors import ExecutorName, Start, Worker
 from doojax.experiments.sweeps.spec import OUT, Cell, cells_of, read_spec
-from doojax.experiments.sweeps.worker import BEGUN, CELLS, DONE, FAILED, FOLDER, is_over
+from doojax.experiments.sweeps.worker import BEGUN, CELLS, DONE, FAILED, FOLDER, MOST_BEGUN, is_over
 from doojax.files import alone_in, write_whole
 from doojax.optional import require
 from doojax.terminal import labelled, narrow_table
@@ -53,6 +53,7 @@ def sweep(spec: Path, /, *, out: Path, executor: ExecutorName = "local", workers
         ValueError: a spec that makes no sense, workers below 1, or cells that failed; the message names one.
         BlockingIOError: another sweep runs in the folder.
         ModuleNotFoundError: ray or submitit is missing; the message names the extra.
+        ChildProcessError: workers die one after another, as where another machine lacks doojax.
     """
     if workers is not None and workers < 1:
         raise ValueError(f"workers is {workers}, expected at least 1")
@@ -96,8 +97,13 @@ def supervise(
     report: Callable[[int, int], None],
     start: Start,
 ) -> None:
-    """Keep so many workers at it until every cell is done or has failed; those that died are replaced."""
+    """Keep so many workers at it until every cell is done or has failed; those that died are replaced.
+
+    Raises:
+        ChildProcessError: workers die one after another, and no cell gets done.
+    """
     running: list[Worker] = []
+    over, dead = 0, 0  # cells; workers that died since there were more of these
     try:
         while True:
             folders = [out / FOLDER / cell.name for cell in cells]
@@ -110,7 +116,12 @@ def supervise(
                 while any(worker.poll() is None for worker in running) and time.monotonic() < deadline:
                     time.sleep(POLL)
                 return
-            running = [worker for worker in running if worker.poll() is None]
+            lost = [worker for worker in running if worker.poll() is not None]
+            dead = len(lost) + (dead if len(cells) - left == over else 0)
+            over = len(cells) - left
+            if dead > (MOST_BEGUN + 1) * workers:  # a cell that kills its workers fails before that
+                raise ChildProcessError(f"{dead} workers died, and no cell got done: {lost[-1].last_words()}")
+            running = [worker for worker in running if worker not in lost]
             while len(running) < min(workers, left):
                 running.append(start(out))
             time.sleep(POLL)

@@ -19,6 +19,7 @@ from typing import Any, Literal, Protocol
 from doojax.experiments.sweeps.worker import require_locks, work_from
 from doojax.optional import require
 from doojax.parts import processors
+from doojax.reading import MOST_SAID
 
 ExecutorName = Literal["local", "ray", "submitit"]
 WORKER = (sys.executable, "-m", "doojax.experiments.sweeps.worker")
@@ -41,6 +42,10 @@ class Worker(Protocol):
 
     def wait(self) -> object:
         """Return when it has ended."""
+        ...
+
+    def last_words(self) -> str:
+        """Why it ended."""
         ...
 
 
@@ -81,9 +86,17 @@ def executor(name: ExecutorName, out: Path) -> Iterator[tuple[Start, int]]:
             ray.shutdown()
 
 
-def start_process(out: Path) -> subprocess.Popen:
+class Process(subprocess.Popen):
+    """A worker on this machine; what it has to complain about, it says in this terminal."""
+
+    def last_words(self) -> str:
+        """How it ended."""
+        return f"the last one with the code {self.poll()}"
+
+
+def start_process(out: Path) -> Process:
     """A worker on this machine; it ends when there is nothing left that it can do."""
-    return subprocess.Popen([*WORKER, str(out)], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    return Process([*WORKER, str(out)], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
 
 class RayWorker:
@@ -114,6 +127,15 @@ class RayWorker:
 
         ray.wait([self._task])
 
+    def last_words(self) -> str:
+        """What ray says of it."""
+        import ray  # pyright: ignore[reportMissingImports]
+
+        try:
+            return f"the last one did {ray.get(self._task)} cells"
+        except Exception as error:  # whatever was raised there
+            return str(error).strip().rpartition("\n")[2][:MOST_SAID]
+
 
 class Job:
     """A job of submitit."""
@@ -134,6 +156,10 @@ class Job:
 
     def wait(self) -> None:
         """Nothing to wait for: SLURM ends what was cancelled."""
+
+    def last_words(self) -> str:
+        """Where it said why."""
+        return f"see {self._job.paths.stderr}"
 
 
 class Queue:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from doojax.experiments.sweeps.command import _show, rows_of, supervise, sweep
-from doojax.experiments.sweeps.executors import start_process
+from doojax.experiments.sweeps.executors import Process, start_process
 from doojax.experiments.sweeps.spec import Cell, Spec, cells_of, read_spec
 from doojax.experiments.sweeps.worker import CELLS, DONE, FAILED, FOLDER, MOST_BEGUN, work
 
@@ -45,7 +45,7 @@ def napping(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr("doojax.commands.COMMANDS", {"nap": ("nap:nap", "sleep")})
     code = WORK.format(folder=str(tmp_path))
-    return lambda out: subprocess.Popen([sys.executable, "-c", code, str(out)])
+    return lambda out: Process([sys.executable, "-c", code, str(out)])
 
 
 def prepared(out: Path, count: int, options: str = "") -> list[Cell]:
@@ -125,6 +125,12 @@ def test_a_hundred_cells_survive_killed_workers_and_drivers(napping, tmp_path):
     (tmp_path / "drivers").mkdir()
     (tmp_path / "drivers/nap.py").write_text(NAP)
     survives_killed_drivers(tmp_path / "drivers", 100, kills=3)
+
+
+def test_workers_that_die_at_once_end_the_sweep(napping, tmp_path):
+    cells = prepared(tmp_path / "out", 3)
+    with pytest.raises(ChildProcessError, match=r"1\d workers died, and no cell got done: .* the code 3"):
+        supervise(tmp_path / "out", cells, 2, lambda *_: None, lambda _: Process(["/bin/sh", "-c", "exit 3"]))
 
 
 def test_a_cell_that_fails_is_said_and_one_that_kills_its_workers_is_given_up(napping, tmp_path):
