@@ -16,7 +16,7 @@ from doojax.keys import generator
 from doojax.learning.adaptation import AdaptationConfig, AdaptationMethod, adapt
 from doojax.learning.checkpoints import Header, load_model, save_model
 from doojax.learning.data import Trajectories
-from doojax.learning.deviation import DeviationConfig, deviation_examples, fit_deviation
+from doojax.learning.deviation import DeviationConfig, calibrated, deviation_examples, fit_deviation
 from doojax.learning.fit import FitConfig
 from doojax.learning.presets import deviation_preset
 from doojax.learning.provenance import SAW
@@ -58,6 +58,21 @@ class FocusSettings:
             keep="last",
         )
         return AdaptationConfig(method=method, growth=self.growth, steps=self.steps, fit=fit)
+
+
+def divided[T](trajectories: Sequence[T]) -> tuple[Sequence[T], Sequence[T], Sequence[T]]:
+    """What an estimator learns from, what chooses its epoch, and what calibrates it.
+
+    One in `EVERY` chooses, and as many calibrate once there are two of them. While there are fewer than
+    `EVERY`, all are learned from and choose.
+    """
+    if len(trajectories) < EVERY:
+        return trajectories, trajectories, ()
+    spare = trajectories[1::EVERY]
+    spare = spare if len(spare) > 1 else ()
+    kept = (0, 1) if spare else (0,)
+    learned = [one for number, one in enumerate(trajectories) if number % EVERY not in kept]
+    return learned, trajectories[::EVERY], spare
 
 
 class Known(NamedTuple):
@@ -143,8 +158,7 @@ class FocusLearner:
         self, known: Known, dynamics: Any, seed: int
     ) -> tuple[DeviationEstimator | None, Any, float]:
         """The estimator that has gone on, the examples it learned from, its mean error (m) on others."""
-        held = known.trajectories[::EVERY] if len(known.trajectories) >= EVERY else known.trajectories
-        learned = [one for number, one in enumerate(known.trajectories) if number % EVERY] or held
+        learned, held, spare = divided(known.trajectories)
         config = self._deviation
         train, validation = (
             deviation_examples(dynamics, list(some), horizon=config.horizon) for some in (learned, held)
@@ -161,6 +175,9 @@ class FocusLearner:
             capacity=self.settings.capacity,
             report=lambda number, epochs, metrics: measured.update(metrics),
         )
+        if spare:
+            examples = deviation_examples(dynamics, list(spare), horizon=config.horizon)
+            fitted, _ = calibrated(fitted, examples)
         return fitted.limited(self.limit), train, float(measured["validation_error_m"][0])
 
     def save(self, folder: Path, known: Known, saw: list[dict[str, Any]]) -> None:

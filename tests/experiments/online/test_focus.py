@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from doojax.experiments.online.focus import FocusLearner, FocusSettings
+from doojax.experiments.online.focus import FocusLearner, FocusSettings, divided
 from doojax.models import Always
 from doojax.models.deviation import DeviationEstimator
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
@@ -92,3 +92,18 @@ def test_where_nothing_is_similar_that_is_told_and_without_an_estimator_all_is_a
 def test_settings_that_learn_nothing_are_refused():
     with pytest.raises(ValueError, match="deviation_epochs is 0, expected at least 1"):
         FocusSettings(deviation_epochs=0)
+
+
+def test_nothing_that_is_learned_from_chooses_or_calibrates_once_there_is_enough():
+    assert divided([0, 1, 2]) == ([0, 1, 2], [0, 1, 2], ())
+    assert divided([*range(6)]) == ([1, 2, 3, 4], [0, 5], ())  # one alone would calibrate nothing
+    assert divided([*range(12)]) == ([2, 3, 4, 7, 8, 9], [0, 5, 10], [1, 6, 11])
+
+
+def test_with_enough_trajectories_the_estimator_is_calibrated(learned):
+    one, fresh, _, before = learned
+    assert float(before.known.deviation.power) == 1.0 and float(before.known.deviation.shift) == 0.0
+    many = one.taken(fresh, [record(2) for _ in range(11)], 0, 1).known
+    judge = one.learned(many, 0, 1).known.deviation
+    assert judge is not None and (float(judge.power), float(judge.shift)) != (1.0, 0.0)
+    assert float(judge.limit) == pytest.approx(LIMIT)
