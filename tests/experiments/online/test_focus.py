@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from doojax.experiments.online.focus import FocusLearner, FocusSettings, divided
+from doojax.learning.adaptation import AdaptationMethod
 from doojax.models import Always
 from doojax.models.deviation import DeviationEstimator
 from doojax.models.dynamics import DynamicsConfig, UnconstrainedDynamics
@@ -25,7 +26,7 @@ SETTINGS = FocusSettings(
 )
 
 
-def learner(name="all_data", gamma=1.0, estimated=True):
+def learner(name: AdaptationMethod = "all_data", gamma=1.0, estimated=True):
     """Two untrained networks that are the source's."""
     keys = jax.random.split(jax.random.key(0), 2)
     source = Ensemble(eqx.filter_vmap(lambda key: UnconstrainedDynamics(NETWORK, key=key))(keys))
