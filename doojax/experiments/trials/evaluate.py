@@ -76,9 +76,10 @@ def evaluate(
     seed, the models and the settings alone, so a longer evaluation begins with the same trials.
 
     Args:
-        task: rope_dragging, dual_gripper or toy.
+        task: rope_dragging, dual_gripper, watering_2d or toy.
         methods: some of classifier, voxel_classifier, deviation, no_classifier, collision_checker,
-            full_dynamics, learned_recovery, random_recovery, oracle, policy.
+            full_dynamics, learned_recovery, random_recovery, oracle, policy; and of models that were adapted,
+            which lie in folders of these names: focus, all_data, all_data_no_mde, no_adaptation.
         out: the evaluation's folder; new, empty, or the same evaluation unfinished.
         models: a folder of trained models, or of folders with a model.eqx each; by default those that come
             with doojax. Where there are none, the dynamics are the simulator's own without obstacles.

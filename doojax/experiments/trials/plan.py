@@ -59,10 +59,10 @@ def plan(
     """Plan in one scene, execute the plan in the simulator, and record it all for doojax view.
 
     Args:
-        task: rope_dragging, dual_gripper or toy.
+        task: rope_dragging, dual_gripper, watering_2d or toy.
         method: one of classifier, voxel_classifier, deviation, no_classifier, collision_checker,
-            full_dynamics, learned_recovery, random_recovery, oracle, policy; by default classifier if there
-            is one.
+            full_dynamics, learned_recovery, random_recovery, oracle, policy, focus, all_data,
+            all_data_no_mde, no_adaptation; by default classifier if there is one.
         models: a folder of trained models, or of folders with a model.eqx each; by default those that come
             with doojax.
         scene: the number of one of the task's scenes for trials; by default a scene drawn by the seed.
