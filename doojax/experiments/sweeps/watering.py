@@ -52,6 +52,9 @@ CLEAR = 0.02  # m, that the container's corners keep from the plant where dynami
 WAY = 9  # places looked at on a container's way
 RECEIVER_BOXES = 5  # the first of the obstacles
 Place = Literal["watering", "watering_2d"]
+# The learning rate is that of the thesis's released code. Gamma and growth were chosen by trajectories of the
+# target that were held out, not by those of the test: a rare large error is most of the 97 % quantile here.
+LEARNING_RATE, QUANTILE, GROWTH = 1e-4, 0.9, 3e-3
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,11 @@ def _adapted(
     """gamma (m), and the models of all methods for one seed, which are kept for `doojax evaluate`."""
     capacity = settings.trajectories * data.actions.shape[1]
     base = AdaptationConfig(
-        horizon=1, steps=max(1, capacity // BATCH), fit=FitConfig(settings.epochs, BATCH, keep="last")
+        horizon=1,
+        quantile=QUANTILE,
+        growth=GROWTH,
+        steps=max(1, capacity // BATCH),
+        fit=FitConfig(settings.epochs, BATCH, learning_rate=LEARNING_RATE, keep="last"),
     )
     gamma = similarity_threshold(source, load_split(open_dataset(out / "source"), "calibration"), base)
     models = {"none": source}
