@@ -42,10 +42,12 @@ from doojax.models.full_dynamics import FullDynamics
 from doojax.models.voxel_classifier import VoxelClassifier
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
+from doojax.types import PouringState
 
 ALPHAS = (0.05, 0.1)  # rates of wrong predictions among the accepted, for which thresholds are found
 FEWEST_RECOVERIES = 200  # examples
 BIAS = 10.0  # k_h of equation 4.2, 1/m of the norm of all coordinates, as in the thesis
+POURING_BIAS = 1.0  # that of the released code for water: with 10, what spills everything would not count
 ClassifierKind = Literal["classifier", "voxel_classifier"]
 CLASSIFIERS: dict[str, tuple[Any, Callable[[PresetName, Task], Preset]]] = {
     "classifier": (DistanceClassifier, classifier_preset),
@@ -168,7 +170,8 @@ def train_deviation(
     """A calibrated estimator of how far off predictions are, its limit, and factors to upper bounds."""
     dataset, ensemble, task, limit, judged = judged_data(data, dynamics, threshold)
     chosen = _with_epochs(deviation_preset(preset, task), epochs)
-    bias = BIAS * float(np.sqrt(task.blank.passive))
+    per_norm = POURING_BIAS if isinstance(task.blank, PouringState) else BIAS
+    bias = per_norm * float(np.sqrt(task.blank.passive))
     config = DeviationConfig(chosen.network, bias=bias, fit=chosen.fit)
     files = {"data": data / MANIFEST, "dynamics": model_file(dynamics)}
     settings = {"limit_m": limit, "horizon": config.horizon, "bias": bias}
