@@ -1,6 +1,7 @@
 """Train a policy by trying, and measure it: `doojax train policy`."""
 
 import importlib.metadata
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -76,14 +77,18 @@ def train_policy(
     config = {"what": "policy", "task": task, "phase": phase, "engine": engine, "seed": seed}
     settings = {name: value for name, value in asdict(ppo).items() if name != "steps"}
     with alone_in(out), progress_bar(console) as progress:
-        run = RunDirectory.open(out, config | {"ppo": settings})
+        run, begun, minutes = RunDirectory.open(out, config | {"ppo": settings}), time.perf_counter(), None
         if _trained_steps(run) != ppo.whole_steps:
             bar = progress.add_task(f"policy of {task}", total=ppo.updates, note="compiling")
-            _trained(run, Ppo(environment, ppo, seed), config, lambda **shown: progress.update(bar, **shown))
+            learner = Ppo(environment, ppo, seed)
+            whole = _trained(run, learner, config, lambda **shown: progress.update(bar, **shown))
+            minutes = (time.perf_counter() - begun) / 60 if whole else None
     policy, header = load_model(out, task=task, kind="policy")
     console.print(f"measuring it in {episodes} episodes, and a random one")
     tags = {"task": task, "steps": header.about["steps"], "policy": "ppo"}
     rows = return_rows(environment, policy, tags, episodes, ppo.episode, seed)
+    if minutes is not None:  # else it was trained in more than one go
+        rows.append(row("policy_minutes", tags, minutes, "min"))
     note_command(out, command, seed, {})
     publish_rows(publish, command=command, seed=seed, rows=rows, inputs=digests({"policy": out}))
     show(rows, json)
@@ -94,8 +99,8 @@ def _trained_steps(run: RunDirectory) -> int | None:
     return load_model(run.path)[1].about.get("steps") if run.finished else None
 
 
-def _trained(run: RunDirectory, ppo: Ppo, config: dict[str, Any], tell: Any) -> None:
-    """Train to the end, from where the run was."""
+def _trained(run: RunDirectory, ppo: Ppo, config: dict[str, Any], tell: Any) -> bool:
+    """Train to the end, from where the run was; whether that was the beginning."""
     settings = ppo.settings
     done, learner = run.resume(ppo.begin())
     if done > settings.updates:
@@ -112,6 +117,7 @@ def _trained(run: RunDirectory, ppo: Ppo, config: dict[str, Any], tell: Any) -> 
     about |= {SAW: [{"stream": "/".join(PURPOSE), "seed": config["seed"], "task": task}]}
     about |= {"brax": importlib.metadata.version("brax")}
     run.finish(Header("policy", task, asdict(ppo.config), about), ppo.policy(learner))
+    return not done
 
 
 def return_rows(
