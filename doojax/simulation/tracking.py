@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Key, UInt32
 
 from doojax.geometry.segment_sdf import segment_signed_distance
 from doojax.simulation.layout import Observation
-from doojax.simulation.scenes import Scene
+from doojax.simulation.scenes import Scene, obstacles_at
 from doojax.simulation.state import SimState, Simulator
 from doojax.types import Obstacles, RopeState, Trajectory
 
@@ -100,8 +100,9 @@ class Tracked:
         """See `Simulator`."""
         keys, later, astray = _drawn(self.tracking, state, 1)
         after = self.simulator.step(state.simulation, action + astray[1] - astray[0])
-        true, obstacles = self.simulator.observe(after), self.simulator.obstacles(after)
-        blur, estimate = self._sighted(state, obstacles, true.points[None], keys)
+        before, true = state.estimate, self.simulator.observe(after)
+        points = jnp.stack([before, true.points])
+        blur, estimate = _sighted(self.tracking, self.scene, state, after, points, keys)
         return TrackedState(**vars(after), astray=astray[1], blur=blur, estimate=estimate[0], random=later)
 
     def observe(self, state: Any) -> RopeState:
@@ -123,12 +124,10 @@ class Tracked:
 
     def rollout(self, states: Any, actions: Float[Array, "B T G 3"]) -> tuple[TrackedState, Trajectory]:
         """See `Simulator`: the trajectory has what is known, and the actions that were asked for."""
-        periods = actions.shape[1]
-        keys, later, astray = jax.vmap(lambda one: _drawn(self.tracking, one, periods))(states)
+        keys, later, astray = _drawn_many(self.tracking, states, actions.shape[1])
         executed = actions + astray[:, 1:] - astray[:, :-1]
         last, true = self.simulator.rollout(states.simulation, executed)
-        obstacles = jax.vmap(self.simulator.obstacles)(last)
-        blur, estimates = jax.vmap(self._sighted)(states, obstacles, true.states.points[:, 1:], keys)
+        blur, estimates = _sighted_many(self.tracking, self.scene, states, last, true.states.points, keys)
         seen = RopeState(
             jnp.concatenate([states.estimate[:, None], estimates], axis=1), true.states.grippers - astray
         )
@@ -137,16 +136,6 @@ class Tracked:
             **vars(last), astray=astray[:, -1], blur=blur, estimate=estimates[:, -1], random=later
         )
         return after, known
-
-    def _sighted(
-        self,
-        state: TrackedState,
-        obstacles: Obstacles,
-        points: Float[Array, "T N 3"],
-        keys: UInt32[Array, "T 2"],
-    ) -> tuple[Float[Array, "N 3"], Float[Array, "T N 3"]]:
-        radius = self.scene.rope_part.parameters.radius
-        return _sighted(self.tracking, radius, state.blur, state.estimate, obstacles, points, keys)
 
 
 def tracked(simulator: Simulator, tracking: Tracking) -> Simulator:
@@ -194,7 +183,6 @@ def _drawn(
     tracking: Tracking, state: TrackedState, periods: int
 ) -> tuple[UInt32[Array, "T 2"], UInt32[Array, "2"], Float[Array, "T1 G 3"]]:
     """A key of each period, one for what comes after, and hands' errors before and after each period."""
-
     axes = state.commanded.shape[-1]  # a hand that moves in the plane goes astray there
 
     def period(carry: tuple[Array, Array], _: None) -> tuple:
@@ -208,16 +196,22 @@ def _drawn(
     return keys, jax.random.key_data(last), jnp.concatenate([state.astray[None], astray])
 
 
+_drawn_many = jax.jit(jax.vmap(_drawn, (None, 0, None)), static_argnums=(0, 2))
+
+
 @partial(jax.jit, static_argnums=(0, 1))
 def _sighted(
     tracking: Tracking,
-    radius: float,
-    blur: Float[Array, "N 3"],
-    estimate: Float[Array, "N 3"],
-    obstacles: Obstacles,
-    points: Float[Array, "T N 3"],
+    scene: Scene,
+    state: TrackedState,
+    last: SimState,
+    points: Float[Array, "T1 N 3"],
     keys: UInt32[Array, "T 2"],
 ) -> tuple[Float[Array, "N 3"], Float[Array, "T N 3"]]:
+    """The last error of points that are seen, and the estimates after each period; obstacles stand still."""
+    obstacles = obstacles_at(scene, last.obstacle_position, last.obstacle_quaternion)
+    radius = scene.rope_part.parameters.radius
+
     def period(carry: tuple[Array, Array], given: tuple[Array, Array]) -> tuple:
         (blur, estimate), (true, key) = carry, given
         own = jax.random.wrap_key_data(key)
@@ -229,8 +223,11 @@ def _sighted(
         estimate = followed(estimate, true + blur, unseen)
         return (blur, estimate), estimate
 
-    (last, _), estimates = jax.lax.scan(period, (blur, estimate), (points, keys))
-    return last, estimates
+    (blur, _), estimates = jax.lax.scan(period, (state.blur, state.estimate), (points[1:], keys))
+    return blur, estimates
+
+
+_sighted_many = jax.jit(jax.vmap(_sighted, (None, None, 0, 0, 0, 0)), static_argnums=(0, 1))
 
 
 def _begun_one(tracking: Tracking, state: SimState, true: Any, key: Key[Array, ""]) -> TrackedState:

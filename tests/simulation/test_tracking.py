@@ -10,7 +10,7 @@ from doojax.tasks import make_task
 from doojax.tasks.base import observed
 from doojax.types import Obstacles, ShapeKind
 
-COUNT, PERIODS = 16, 40
+COUNT, PERIODS = 16, 24
 
 
 @pytest.fixture(scope="module")
