@@ -79,6 +79,7 @@ def test_motions_are_free_and_end_where_they_should(plans):
     assert float(exact(straight).min()) < 0 and int(plans.count[0]) > 2  # the post is in the way
 
 
+@pytest.mark.slow
 def test_speeds_are_kept_and_reached(plans):
     times, path = np.asarray(plans.times), np.asarray(plans.waypoints)
     for query in (0, 1, 4):

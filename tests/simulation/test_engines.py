@@ -103,6 +103,7 @@ def test_a_batch_in_parts_is_the_batch(scene, on_mjx, actions, monkeypatch):
         np.testing.assert_allclose(one, other, atol=1e-4)  # rounded differently
 
 
+@pytest.mark.slow
 def test_a_cube_stops_the_gripper_on_both_engines(scene, on_mujoco, compiled, actions):
     states = with_cube(straight_states(scene, BATCH), x=0.2, y=0.0)  # its face is 3 cm ahead of the gripper
     states = with_ropes(scene, states, scene.rope)

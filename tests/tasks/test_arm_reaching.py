@@ -39,6 +39,7 @@ def test_the_arms_are_near_to_nothing_at_the_start(task):
     assert float(clearance(task.robot, joints, task.robot.base, -BASE[2])) > 0.015
 
 
+@pytest.mark.slow
 def test_everything_is_free_at_the_start_and_goals_are_elsewhere(task, scenes):
     seen = task.simulator.observation(task.settled)
     rope = rope_ends(task.scene, seen)

@@ -141,6 +141,7 @@ def check_with_mujoco(case: Case) -> None:
             assert least > 0
 
 
+@pytest.mark.slow
 def test_what_is_accepted_can_be_carried_out_by_mujocos_own_check(small):
     check_with_mujoco(small)
 
