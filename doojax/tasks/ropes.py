@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from doojax.simulation.build import with_parameters
@@ -70,7 +71,9 @@ def carrying(task: Task, states: SimState, rope: OtherRope) -> SimState:
         name: jnp.tile(jnp.asarray(values, jnp.float32), (count, *[1] * (values.ndim - 1)))
         for name, values in with_parameters(task.scene, [rope.parameters(task.scene)]).items()
     }
-    return replace(states, model_fields=fields)
+    return replace(
+        jax.tree.map(jnp.asarray, states), model_fields=fields
+    )  # scenes that were drawn are NumPy's
 
 
 def task_of(config: dict[str, Any]) -> Task:

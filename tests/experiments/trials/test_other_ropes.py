@@ -10,7 +10,7 @@ from doojax.experiments.trials.evaluate import with_other_rope
 from doojax.experiments.trials.plan import plan
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.replay import replay as executed_again
-from doojax.experiments.trials.scenes import FOLDER, load_scenes, save_scenes
+from doojax.experiments.trials.scenes import FOLDER, load_scenes, save_scenes, scenes
 from doojax.experiments.trials.setting import TrialSettings
 from doojax.planning import RrtSettings
 from doojax.tasks import make_task
@@ -55,3 +55,14 @@ def test_a_trial_with_another_rope_is_executed_again_bit_for_bit(tmp_path):
     assert np.array_equal(executed_again(TASK.simulator("mujoco"), record), record.points)
     plain = replace(record, replay={n: v for n, v in record.replay.items() if not n.startswith("model/")})
     assert np.abs(executed_again(TASK.simulator("mujoco"), plain) - record.points).max() > 1e-4
+
+
+def test_scenes_of_a_longer_rope_carry_it(tmp_path):
+    scenes("rope_dragging", count=1, rope=OtherRope(length=0.8, friction=0.2), out=tmp_path / "long.scenes")
+    drawn = load_scenes(tmp_path / "long.scenes")
+    assert drawn.rope == OtherRope(length=0.8, friction=0.2) and drawn.starts.model_fields
+    task = make_task("rope_dragging")
+    points = np.asarray(task.simulator("mujoco").observations(drawn.starts).state.points)
+    own = task.scene.rope_part.parameters.length
+    spans = np.linalg.norm(np.diff(points, axis=1), axis=-1).sum()
+    assert spans == pytest.approx(0.8 * (1 - 1 / points.shape[1]), rel=0.05) and own != 0.8
