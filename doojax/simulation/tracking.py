@@ -25,14 +25,13 @@ TINY = 1e-9  # m
 
 @dataclass(frozen=True)
 class Tracking:
-    """How far off a robot is. The defaults are exact; `REAL` is about what the thesis says of its robot."""
+    """How far off a robot is; the defaults are exact. Thesis, 4.4.5: hands some 5 cm off."""
 
     hand_error: float = 0.0  # m, root mean square, of a hand from where it was sent
     point_error: float = 0.0  # m, root mean square, of a point of the rope from where it is seen
     correlation: float = 0.8  # of either, from one control period to the next
-    camera: tuple[float, float, float] | None = (
-        None  # m, world frame: what an obstacle hides from it is not seen
-    )
+    camera: tuple[float, float, float] | None = None
+    """m, world frame: what an obstacle hides from it is not seen; None sees all."""
 
     def __post_init__(self):
         """Refuse what is no error."""
@@ -49,8 +48,6 @@ class Tracking:
 
 
 EXACT = Tracking()
-REAL = Tracking(hand_error=0.05, point_error=0.01, camera=(0.0, 0.0, 1.6))
-"""5 cm of error of the hands (thesis, section 4.4.5), and a camera on the robot's head."""
 
 
 class TrackedState(SimState):
@@ -100,8 +97,7 @@ class Tracked:
         """See `Simulator`."""
         keys, later, astray = _drawn(self.tracking, state, 1)
         after = self.simulator.step(state.simulation, action + astray[1] - astray[0])
-        before, true = state.estimate, self.simulator.observe(after)
-        points = jnp.stack([before, true.points])
+        points = self.simulator.observe(after).points[None]
         blur, estimate = _sighted(self.tracking, self.scene, state, after, points, keys)
         return TrackedState(**vars(after), astray=astray[1], blur=blur, estimate=estimate[0], random=later)
 
@@ -112,11 +108,8 @@ class Tracked:
     def observations(self, states: Any) -> Observation:
         """See `Simulator`: what is known; half links are those that are true."""
         found: Observation = self.simulator.observations(states.simulation)
-        return eqx.tree_at(
-            lambda one: (one.state, one.hands),
-            found,
-            (_known(found.state, states), found.hands - states.astray),
-        )
+        known = (_known(found.state, states), found.hands - states.astray)
+        return eqx.tree_at(lambda one: (one.state, one.hands), found, known)
 
     def obstacles(self, state: Any) -> Obstacles:
         """See `Simulator`."""
@@ -127,7 +120,8 @@ class Tracked:
         keys, later, astray = _drawn_many(self.tracking, states, actions.shape[1])
         executed = actions + astray[:, 1:] - astray[:, :-1]
         last, true = self.simulator.rollout(states.simulation, executed)
-        blur, estimates = _sighted_many(self.tracking, self.scene, states, last, true.states.points, keys)
+        points = true.states.points[:, 1:]
+        blur, estimates = _sighted_many(self.tracking, self.scene, states, last, points, keys)
         seen = RopeState(
             jnp.concatenate([states.estimate[:, None], estimates], axis=1), true.states.grippers - astray
         )
@@ -205,7 +199,7 @@ def _sighted(
     scene: Scene,
     state: TrackedState,
     last: SimState,
-    points: Float[Array, "T1 N 3"],
+    points: Float[Array, "T N 3"],
     keys: UInt32[Array, "T 2"],
 ) -> tuple[Float[Array, "N 3"], Float[Array, "T N 3"]]:
     """The last error of points that are seen, and the estimates after each period; obstacles stand still."""
@@ -223,7 +217,7 @@ def _sighted(
         estimate = followed(estimate, true + blur, unseen)
         return (blur, estimate), estimate
 
-    (blur, _), estimates = jax.lax.scan(period, (state.blur, state.estimate), (points[1:], keys))
+    (blur, _), estimates = jax.lax.scan(period, (state.blur, state.estimate), (points, keys))
     return blur, estimates
 
 

@@ -71,9 +71,8 @@ def carrying(task: Task, states: SimState, rope: OtherRope) -> SimState:
         name: jnp.tile(jnp.asarray(values, jnp.float32), (count, *[1] * (values.ndim - 1)))
         for name, values in with_parameters(task.scene, [rope.parameters(task.scene)]).items()
     }
-    return replace(
-        jax.tree.map(jnp.asarray, states), model_fields=fields
-    )  # scenes that were drawn are NumPy's
+    drawn = jax.tree.map(jnp.asarray, states)  # scenes that were drawn are NumPy's
+    return replace(drawn, model_fields=fields)
 
 
 def task_of(config: dict[str, Any]) -> Task:

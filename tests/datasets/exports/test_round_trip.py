@@ -219,16 +219,6 @@ LEROBOT = {
 }
 
 
-@pytest.mark.parametrize("case", LEROBOT)
-def test_what_is_wrong_with_a_lerobot_folder_is_said(case, copied, tmp_path):
-    spoil, message = LEROBOT[case]
-    folder = copied("lerobot")
-    spoil(folder)
-    with pytest.raises(ValueError, match=message):
-        import_trajectories(folder, format="lerobot", out=tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def stored(folder, name, change):
     """A dataset of the HDF5 file, changed."""
     with h5py.File(folder / "data/main_data.hdf5", "r+") as file:
@@ -280,13 +270,16 @@ MINARI = {
 }
 
 
-@pytest.mark.parametrize("case", MINARI)
-def test_what_is_wrong_with_a_minari_folder_is_said(case, copied, tmp_path):
-    spoil, message = MINARI[case]
-    folder = copied("minari")
+WRONG = {"lerobot": LEROBOT, "minari": MINARI}
+
+
+@pytest.mark.parametrize(("layout", "case"), [(layout, case) for layout in WRONG for case in WRONG[layout]])
+def test_what_is_wrong_with_a_folder_is_said(layout, case, copied, tmp_path):
+    spoil, message = WRONG[layout][case]
+    folder = copied(layout)
     spoil(folder)
     with pytest.raises(ValueError, match=message):
-        import_trajectories(folder, format="minari", out=tmp_path / "out")
+        import_trajectories(folder, format=layout, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
