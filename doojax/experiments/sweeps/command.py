@@ -31,7 +31,9 @@ def sweep(spec: Path, /, *, out: Path, executor: ExecutorName = "local", workers
 
     The spec is a YAML file, such as::
 
-        command: evaluate toy --methods {method} --seed {seed} --out {out} && compare {out} --publish {out}
+        command: >-
+          doojax evaluate rope_dragging --methods {method} --seed {seed} --trials 5 --out {out}
+          && doojax compare {out} --publish {out}
         grid: {method: [oracle, collision_checker]}
         seeds: 5
 

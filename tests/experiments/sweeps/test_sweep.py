@@ -1,6 +1,7 @@
 """Sweeps: which cells there are, and that none is lost where workers or the driver are killed."""
 
 import contextlib
+import csv
 import json
 import os
 import signal
@@ -11,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from doojax.commands import call, parsed
+from doojax.experiments.reports.prose import commands_of
 from doojax.experiments.sweeps.command import _show, rows_of, supervise, sweep
 from doojax.experiments.sweeps.executors import Process, start_process
 from doojax.experiments.sweeps.spec import Cell, Spec, cells_of, read_spec
@@ -241,3 +244,22 @@ def test_figures_are_told_in_a_terminal_of_80_columns(capsys, monkeypatch):
     at = lines.index(["conformal_violation_rate_of_all", "0.6", "2"])
     told = " ".join(word for line in lines[at + 1 :] for word in line)
     assert told == ", ".join(f"{name} {value}" for name, value in {"delta": 0.05, **tags}.items())
+
+
+@pytest.mark.slow
+def test_the_page_of_sweeps_is_right_as_it_stands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[3] / "docs/sweeps.md").read_text()
+    spec = page.split("```yaml\n")[1].split("```")[0]
+    Path("spec.yaml").write_text(spec)
+    assert (methods := read_spec(Path("spec.yaml")).grid["method"]) and "seeds: 5" in spec
+    Path("spec.yaml").write_text(spec.replace("seeds: 5", "seeds: 1"))
+    first, second = (line for _, line in list(commands_of(page.splitlines()))[:2])
+    assert (first.split()[1], second.split()[1]) == ("scenes", "sweep")
+    for function, arguments in [*parsed(first), *parsed(second)]:
+        call(function, arguments)
+    lines = list(csv.DictReader(Path("sweep/sweep.csv").read_text().splitlines()))
+    rates = [line for line in lines if line["metric"] == "success_rate"]
+    assert sorted(line["method"] for line in rates) == sorted(methods)
+    assert all(line["n"] == "5" for line in rates)
+    assert Path("sweep/sweep.png").stat().st_size > 1000
