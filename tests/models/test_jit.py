@@ -27,6 +27,7 @@ CONFIGS = {
     "policy": {"observation": 5, "action": 2, "width": 8, "depth": 2},
 }
 PLAIN = {"always": Always, "collision checker": CollisionChecker, "random recovery": RandomRecovery}
+KINDS = [*CONFIGS, "member", *PLAIN]
 
 
 @cache
@@ -63,7 +64,7 @@ def passed(function, arguments):
     return function(*arguments)
 
 
-@pytest.mark.parametrize("kind", [*CONFIGS, "member", *PLAIN])
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_model_is_jitted_as_it_is(kind):
     model, given = model_of(kind), arguments(kind)
     assert_close(jax.jit(model)(*given), passed(model, given))

@@ -13,7 +13,7 @@ from doojax.learning.checkpoints import Header, load_model, save_model
 from doojax.models.local import local_frame
 from doojax.models.rolling import roll_out
 
-from .test_jit import ACTION, BEFORE, CONFIGS, MODELS, arguments, passed
+from .test_jit import ACTION, BEFORE, CONFIGS, KINDS, arguments, model_of, passed
 from .voxel_examples import rope
 
 SHIPPED = sorted((Path(experiments.__file__).parent / "pretrained").rglob("*.eqx"))
@@ -39,8 +39,8 @@ def test_shipped_models_load_in_double_precision_with_the_same_weights(path):
 
 def test_a_model_computes_in_double_precision_what_it_computes_in_single(tmp_path):
     kind = "dynamics"
-    save_model(tmp_path / "model.eqx", Header(kind, "toy", CONFIGS[kind]), MODELS[kind])
-    single = passed(MODELS[kind], arguments(kind))
+    save_model(tmp_path / "model.eqx", Header(kind, "toy", CONFIGS[kind]), model_of(kind))
+    single = passed(model_of(kind), arguments(kind))
     with jax.enable_x64(True):
         model, _ = load_model(tmp_path / "model.eqx")
         double = passed(model, wide(arguments(kind)))
@@ -49,12 +49,12 @@ def test_a_model_computes_in_double_precision_what_it_computes_in_single(tmp_pat
         assert other.dtype == jnp.float64
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-6)
     back, _ = load_model(tmp_path / "double.eqx")  # what was saved in double loads in single precision
-    assert eqx.tree_equal(back, MODELS[kind])
+    assert eqx.tree_equal(back, model_of(kind))
 
 
-@pytest.mark.parametrize("kind", MODELS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_model_and_its_derivatives_pass_under_strict_rank_promotion(kind):
-    model, given = MODELS[kind], arguments(kind)
+    model, given = model_of(kind), arguments(kind)
 
     def summed(model):
         return sum(leaf.sum() for leaf in jax.tree.leaves(model(*given)) if leaf.dtype != bool)
@@ -69,14 +69,15 @@ def test_a_model_and_its_derivatives_pass_under_strict_rank_promotion(kind):
 
 
 def test_frames_and_rollouts_pass_under_strict_rank_promotion():
-    ensemble, full, actions = MODELS["dynamics"], MODELS["full_dynamics"], jnp.stack([ACTION] * 4)
+    ensemble, member, full = (model_of(kind) for kind in ("dynamics", "member", "full_dynamics"))
+    actions = jnp.stack([ACTION] * 4)
     many = jax.tree.map(lambda leaf: jnp.stack([leaf] * 4), BEFORE)
     with jax.numpy_rank_promotion("raise"):
         obstacles = arguments("full_dynamics")[0]
         for model in (ensemble, full):
             eqx.filter_eval_shape(roll_out, model, obstacles, BEFORE, actions)
         eqx.filter_eval_shape(ensemble.roll_out_members, obstacles, BEFORE, actions)
-        for model in (MODELS["member"], full):
+        for model in (member, full):
             eqx.filter_eval_shape(model.scaled_to, many, actions, many)
         for grippers in (1, 2):
             state = rope(points=4, grippers=grippers)
