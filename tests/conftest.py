@@ -4,8 +4,8 @@ from pathlib import Path
 
 import jax
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
-HERE = Path(__file__).parent
 # Two workers take one folder at a time: what one test compiles or opens serves its neighbours. One that
 # takes long and begins last would keep the other worker waiting.
 DEAREST = (
@@ -21,19 +21,27 @@ DEAREST = (
 DEAREST += ("experiments/online", "datasets", "topology", "augmentation", "robots", "benchmarks")
 
 
-def group_of(item: pytest.Item) -> str:
-    """A test's folder, or its file if that is in no folder."""
-    folder = item.path.parent.relative_to(HERE).as_posix()
-    return item.path.stem if folder == "." else folder
+def folder_of(nodeid: str) -> str:
+    """Of a test, below here; its file if that is in no folder."""
+    file = Path(nodeid.split("::")[0]).relative_to("tests")
+    return file.stem if file.parent == Path() else file.parent.as_posix()
 
 
-@pytest.hookimpl(tryfirst=True)  # xdist reads the marks
+class ByFolder(LoadScopeScheduling):
+    """Whole folders for a worker. (`xdist_group` marks do nothing with pytest 9.2 and xdist 3.8, silently.)"""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return folder_of(nodeid)
+
+
+def pytest_xdist_make_scheduler(config, log):
+    return ByFolder(config, log)
+
+
 def pytest_collection_modifyitems(items):
-    """What belongs together is run by one worker, the dearest first."""
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(group_of(item)))
+    """The dearest folders first."""
     places = {name: place for place, name in enumerate(DEAREST)}
-    items.sort(key=lambda item: places.get(group_of(item), len(places)))  # stable: a file stays together
+    items.sort(key=lambda item: places.get(folder_of(item.nodeid), len(places)))  # stable: a file stays together
 
 
 @pytest.fixture(autouse=True, scope="session")
