@@ -70,6 +70,10 @@ COMMANDS: Commands = {
         "doojax.experiments.training.policy:train_policy",
         "train a policy of a task by trying, for doojax evaluate",
     ),
+    "train validity": (
+        "doojax.experiments.training.validity:train_validity",
+        "learn which transforms of examples are valid, for doojax augment",
+    ),
     "augment": (
         "doojax.augmentation.command:augment_dataset",
         "move what a data set holds to where it is as valid",

@@ -28,7 +28,7 @@ def folder_of(nodeid: str) -> str:
 
 
 class ByFolder(LoadScopeScheduling):
-    """Whole folders for a worker. (`xdist_group` marks do nothing with pytest 9.2 and xdist 3.8, silently.)"""
+    """Whole folders for a worker; `xdist_group` marks do nothing with pytest 9.2 and xdist 3.8, silently."""
 
     def _split_scope(self, nodeid: str) -> str:
         return folder_of(nodeid)
@@ -41,7 +41,9 @@ def pytest_xdist_make_scheduler(config, log):
 def pytest_collection_modifyitems(items):
     """The dearest folders first."""
     places = {name: place for place, name in enumerate(DEAREST)}
-    items.sort(key=lambda item: places.get(folder_of(item.nodeid), len(places)))  # stable: a file stays together
+    items.sort(
+        key=lambda item: places.get(folder_of(item.nodeid), len(places))
+    )  # stable: a file stays together
 
 
 @pytest.fixture(autouse=True, scope="session")

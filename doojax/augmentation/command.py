@@ -14,8 +14,8 @@ from jaxtyping import Array
 from rich.console import Console
 
 from doojax.augmentation.examples import Augmented, Bounds, Examples, Setting, augment
-from doojax.augmentation.objectives import Weights
-from doojax.augmentation.projection import ProjectionConfig
+from doojax.augmentation.objectives import Weights, any_transform
+from doojax.augmentation.projection import ProjectionConfig, Term
 from doojax.augmentation.settings import setting_of, usual
 from doojax.datasets.files import MANIFEST
 from doojax.datasets.manifest import Field
@@ -26,6 +26,7 @@ from doojax.datasets.writer import DatasetWriter
 from doojax.files import alone_in, file_digest
 from doojax.geometry.motion import RigidMotion
 from doojax.keys import check_seed, numbered, stream
+from doojax.learning.checkpoints import MODEL, load_model
 from doojax.simulation.state import SimState
 from doojax.tasks.base import Task
 from doojax.tasks.ropes import task_of
@@ -72,6 +73,7 @@ def augment_dataset(
     rotation: Way | None = None,
     distance_tolerance: float | None = None,
     weights: Weights = Weights(),  # noqa: B008
+    validity: Path | None = None,
     seed: int = 0,
 ) -> None:
     """Write a data set beside augmentations of it: moved rigidly to where they touch as they did.
@@ -91,10 +93,14 @@ def augment_dataset(
         rotation: rad, either way, rotation vector; by default the task's.
         distance_tolerance: m, by how much the least distance to what stays may change; by default the task's.
         weights: of the objective's terms. One of 0 leaves a term's gradient out; its check still holds.
+        validity: a run of `doojax train validity` with the data's rope, which refuses transforms; by default
+            all are valid, and those of ropes do not tilt.
         seed: of the transforms.
 
     Raises:
-        ValueError: for data that are unfinished or of no rope, or counts out of range.
+        FileNotFoundError: for a validity that is not there.
+        ValueError: for data that are unfinished or of no rope, counts out of range, or a validity of another
+            task or rope.
     """
     check_seed(seed)
     with warnings.catch_warnings():
@@ -107,6 +113,7 @@ def augment_dataset(
     if distance_tolerance is not None:
         projection = replace(projection, distance_tolerance=distance_tolerance)
     setting = setting_of(task, bounds)
+    term, digest = (any_transform, {}) if validity is None else _learned_validity(validity, source)
     config = {
         **source.config,
         "states": plan.steps + 1,
@@ -118,6 +125,7 @@ def augment_dataset(
             **asdict(bounds),
             "distance_tolerance": projection.distance_tolerance,
             "weights": asdict(weights),
+            **digest,
             "seed": seed,
         },
     }
@@ -133,7 +141,7 @@ def augment_dataset(
             bar = progress.add_task(f"augmenting {task.name}", total=total, note="")
             for shard in missing:
                 rows = np.array(writer.manifest.rows(shard))
-                arrays = _shard(source, task, setting, projection, weights, plan, rows, seed)
+                arrays = _shard(source, task, setting, projection, weights, term, plan, rows, seed)
                 writer.write(shard, arrays)
                 counts.update(arrays["verdict"].tolist())
                 tried = sum(counts.values()) - counts[Verdict.ORIGINAL]
@@ -198,12 +206,24 @@ def _planned(source: Dataset, copies: int, steps: int | None) -> _Plan:
     return _Plan(len(source), periods, steps, copies)
 
 
+def _learned_validity(path: Path, source: Dataset) -> tuple[Term, dict[str, str]]:
+    """What `doojax train validity` learned, and what the data's config says of it."""
+    model, header = load_model(path, task=source.config["task"], kind="validity")
+    ropes = header.about.get("rope", {}), source.config.get("rope", {})
+    if ropes[0] != ropes[1]:
+        told = " and ".join(str(rope or "the task's own") for rope in ropes)
+        raise ValueError(f"{path} is of another rope than {source.path}: {told}")
+    file = path / MODEL if path.is_dir() else path
+    return model, {"validity": str(path), "validity_sha256": file_digest(file)}
+
+
 def _shard(
     source: Dataset,
     task: Task,
     setting: Setting,
     projection: ProjectionConfig,
     weights: Weights,
+    validity: Term,
     plan: _Plan,
     rows: np.ndarray,
     seed: int,
@@ -235,7 +255,9 @@ def _shard(
         obstacles=obstacles,
         sound=(batch["faults"] == 0).all(1),
     )
-    found = augment(numbered(stream(seed, "augment"), rows[full]), examples, setting, projection, weights)
+    found = augment(
+        numbered(stream(seed, "augment"), rows[full]), examples, setting, projection, weights, validity
+    )
     starts = SimState(
         qpos=batch["initial_qpos"],
         qvel=batch["initial_qvel"],

@@ -17,31 +17,24 @@ hand's greatest force is that of each axis, and friction on a floor has a few di
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from doojax.actions import sampled
 from doojax.augmentation import Augmented, Examples, Setting, augment, setting_of, usual
-from doojax.augmentation.examples import transformed
+from doojax.augmentation.resimulation import drawn_examples, resimulation_errors
 from doojax.benchmarks.stages import stages
 from doojax.commands import command_line
-from doojax.datasets.collect import random_trajectories
+from doojax.datasets.diversity import divergence, nearest_distances
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.summary import publish_rows, row, show
-from doojax.geometry.motion import RigidMotion
-from doojax.geometry.shapes import FAR
 from doojax.keys import numbered, stream
 from doojax.simulation.state import SimState, Simulator
 from doojax.tasks import make_task
 from doojax.tasks.base import Task
-from doojax.types import PushingState, Verdict
+from doojax.types import Verdict
 
-BEFORE = 5  # control periods before the transition
 ASIDE = 1e-4  # m, of a start that counts as the same
 QUANTILES = (0.5, 0.9)
 TIMES = 2.0  # the simulator's own error, within which an augmentation's should be
@@ -82,7 +75,8 @@ def augmentation(
 def measured(task: Task, count: int, seed: int) -> list[Row]:
     """All rows of one task."""
     simulator = task.simulator("mujoco")
-    starts, examples = drawn(task, simulator, count, seed)
+    start_key, action_key = (stream(seed, "bench", "augment", name) for name in ("starts", "actions"))
+    starts, examples = drawn_examples(task, simulator, count, start_key, action_key)
     bounds, projection = usual(task)
     setting = setting_of(task, bounds)
     keys = numbered(stream(seed, "bench", "augment", "targets"), range(count))
@@ -103,6 +97,7 @@ def measured(task: Task, count: int, seed: int) -> list[Row]:
         if one != Verdict.ORIGINAL and (verdict == one).any():
             share = (verdict == one).mean()
             rows.append(row("acceptance", tags | {"reason": one.name.lower()}, share, "", n=count))
+    rows += _diversity(tags, examples, found, np.asarray(setting.bounds))
     measured = compared(task, simulator, setting, starts, examples, found)
     if accepted.any():
         within = measured["augmented"] <= np.maximum(TIMES * measured["original"], SAME)
@@ -117,26 +112,23 @@ def measured(task: Task, count: int, seed: int) -> list[Row]:
     return rows
 
 
-def drawn(task: Task, simulator: Simulator, count: int, seed: int) -> tuple[SimState, Examples]:
-    """Examples, and the states that they were simulated from."""
-    start_key, action_key = (stream(seed, "bench", "augment", name) for name in ("starts", "actions"))
-    if task.scene.cylinders:
-        keys = numbered(start_key, range(count))
-        starts, _, trajectory = random_trajectories(task, simulator, keys, task.trajectory_states - 1)
-        sound = jnp.asarray((np.asarray(trajectory.faults) == 0).all(1))
-        states = jax.tree.map(jnp.asarray, trajectory.states)
-        return starts, Examples(states, jnp.asarray(trajectory.actions), None, sound)
-    _, starts, _ = random_trajectories(task, simulator, numbered(start_key, range(count)), BEFORE)
-    rope, none = simulator.observations(starts).state, jnp.zeros((count, task.grippers, 3))
-    actions = _actions(task, numbered(action_key, range(count)), rope, none)
-    _, trajectory = simulator.rollout(starts, actions[:, None])
-    examples = Examples(
-        states=jax.tree.map(jnp.asarray, trajectory.states),
-        actions=actions[:, None],
-        obstacles=jax.vmap(simulator.obstacles)(starts),
-        sound=jnp.asarray((np.asarray(trajectory.faults) == 0).all(1)),
-    )
-    return starts, examples
+def _diversity(tags: dict[str, str], examples: Examples, found: Augmented, bounds: np.ndarray) -> list[Row]:
+    """How varied what was drawn and what was accepted is."""
+    accepted, sound = np.asarray(found.verdict) == Verdict.ACCEPTED, np.asarray(examples.sound)
+    rows = []
+    for method, transforms, which in (
+        ("augmented", found.transform, accepted),
+        ("random", found.target, np.ones_like(accepted)),
+    ):
+        if which.any():
+            value, own = divergence(np.asarray(transforms)[which], bounds), tags | {"method": method}
+            rows.append(row("diversity", own | {"measure": "divergence"}, value, "nats", n=int(which.sum())))
+    if accepted.any():
+        there, before = (np.asarray(states.bodies()) for states in (found.states, examples.states))
+        nearest = np.median(nearest_distances(there[accepted], before[sound])[0])
+        own = tags | {"method": "augmented", "measure": "nearest_original"}
+        rows.append(row("diversity", own, nearest, "m", n=int(accepted.sum())))
+    return rows
 
 
 def compared(
@@ -161,47 +153,3 @@ def compared(
         name: resimulation_errors(task, simulator, setting, starts, examples, parameters)[chosen]
         for name, (parameters, chosen) in errors.items()
     }
-
-
-def resimulation_errors(
-    task: Task,
-    simulator: Simulator,
-    setting: Setting,
-    starts: SimState,
-    examples: Examples,
-    parameters: Float[Array, "B 6"],
-) -> Float[np.ndarray, "B"]:
-    """Distances (m) between where the simulator takes moved examples and their moved outcomes.
-
-    At most `FAR`, and that where the simulation blows up.
-    """
-    moved, actions, outcomes = _moved(task, setting, starts, examples, parameters)
-    _, again = simulator.rollout(moved, actions)
-    last = jax.tree.map(lambda leaf: jnp.asarray(leaf)[:, -1], again.states)
-    errors = np.array(jnp.sqrt(((_places(last) - _places(outcomes)) ** 2).sum(-1).mean(-1)))
-    return np.nan_to_num(errors, nan=FAR, posinf=FAR).clip(max=FAR)
-
-
-def _places(states: Any) -> Float[Array, "B P 3"]:
-    """What errors are measured of: a rope's points, or all bodies."""
-    return states.bodies() if isinstance(states, PushingState) else states.points
-
-
-@eqx.filter_jit
-def _moved(task: Task, setting: Setting, starts: SimState, examples: Examples, parameters: Array):
-    states, actions = transformed(examples, setting, parameters)
-
-    def one(start: SimState, before: Any, obstacles: Any, parameters: Array) -> SimState:
-        motion = RigidMotion.of(parameters, setting.movable(before, obstacles).points.mean(0))
-        return setting.moved_start(task.scene, start, before, motion)
-
-    moved = jax.vmap(one)(starts, examples.states, examples.obstacles, parameters)
-    return moved, actions, jax.tree.map(lambda leaf: leaf[:, -1], states)
-
-
-@eqx.filter_jit
-def _actions(task: Task, keys: Array, ropes: Any, previous: Array) -> Array:
-    def one(key, rope, before):
-        return sampled(task.actions, key, rope, before)
-
-    return jax.vmap(one)(keys, ropes, previous)

@@ -152,6 +152,7 @@ def _augmentation_of(config: dict[str, Any], out: Path) -> str:
     weights = type(signature(function).parameters["weights"].default)(**config["weights"])
     lists = {name: tuple(config[name]) for name in ("translation", "rotation")}
     plain = {name: config[name] for name in ("copies", "steps", "distance_tolerance", "seed")}
+    plain |= {"validity": Path(config["validity"])} if "validity" in config else {}
     given = {"data": Path(config["data"]), "out": out, "weights": weights, **lists, **plain}
     return command_line(function, given)
 

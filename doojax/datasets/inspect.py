@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from doojax.datasets.collect import command_of
+from doojax.datasets.diversity import diversity
 from doojax.datasets.store import Dataset
 from doojax.simulation.state import Fault
 from doojax.terminal import labelled
@@ -92,12 +93,24 @@ def inspect(path: Path, /, *, verify: bool = True) -> None:
     console.print(_table(dataset, summary), soft_wrap=False)
     for label, (hits, total) in summary.facts.items():
         console.print(f"{label}: {hits} of {total} ({hits / total:.2%})")
+    if "verdict" in dataset.fields and len(dataset):
+        _tell_diversity(dataset, console)
     console.print(f"checksums: {'ok' if verify else 'not checked'}")
     for check, problems in summary.checks.items():
         console.print(f"{check}: {'[red]FAILED' if problems else 'ok'}")
     found = [f"{check}: {problem}" for check, problems in summary.checks.items() for problem in problems]
     if found:
         raise ValueError("\n".join([f"{path} fails its checks:", *found]))
+
+
+def _tell_diversity(dataset: Dataset, console: Console) -> None:
+    found = diversity(dataset)
+    if found is None:
+        console.print("diversity: no augmentation is accepted")
+        return
+    told = f"{found.drawn:.3f} nats as drawn, {found.accepted:.3f} as accepted"
+    console.print(f"divergence of transforms from uniform: {told}")
+    console.print(f"median distance of an augmentation to the nearest original: {100 * found.nearest:.1f} cm")
 
 
 def summarise(dataset: Dataset) -> Summary:

@@ -20,6 +20,7 @@ from doojax.models.full_dynamics import FullDynamics, FullDynamicsConfig
 from doojax.models.policy import Policy, PolicyConfig
 from doojax.models.pouring import PouringConfig, PouringDynamics, PouringJudgeConfig
 from doojax.models.recovery import RecoveryNetwork
+from doojax.models.validity import TransformValidity, ValidityConfig
 from doojax.models.voxel_classifier import VoxelClassifier, VoxelClassifierConfig
 from doojax.reading import checked
 from doojax.types import Size
@@ -79,6 +80,11 @@ def policy(config: Mapping[str, Any]) -> Policy:
     return Policy(checked(config, PolicyConfig), key=stream(0, "structure"))
 
 
+def validity(config: Mapping[str, Any]) -> TransformValidity:
+    """A `TransformValidity`; config: the fields of `ValidityConfig`."""
+    return TransformValidity(checked(config, ValidityConfig), key=stream(0, "structure"))
+
+
 BUILDERS: Mapping[str, Callable[[dict[str, Any]], Any]] = {
     "dynamics": dynamics,
     "classifier": classifier,
@@ -86,5 +92,6 @@ BUILDERS: Mapping[str, Callable[[dict[str, Any]], Any]] = {
     "deviation": deviation,
     "full_dynamics": full_dynamics,
     "policy": policy,
+    "validity": validity,
     "voxel_classifier": voxel_classifier,
 }

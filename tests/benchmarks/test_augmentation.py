@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from doojax.augmentation import augment, setting_of
-from doojax.benchmarks.augmentation import augmentation, compared, drawn
+from doojax.augmentation.resimulation import drawn_examples
+from doojax.benchmarks.augmentation import augmentation, compared
 from doojax.keys import numbered, stream
 from doojax.tasks import make_task
 from doojax.types import Verdict
@@ -17,7 +18,7 @@ COUNT = 48
 def test_accepted_augmentations_are_what_the_simulator_does_and_random_ones_are_not():
     task = make_task("toy")
     simulator = task.simulator("mujoco")
-    starts, examples = drawn(task, simulator, COUNT, 0)
+    starts, examples = drawn_examples(task, simulator, COUNT, stream(0, "starts"), stream(0, "actions"))
     setting = setting_of(task)
     found = augment(numbered(stream(0, "test"), range(COUNT)), examples, setting)
     errors = compared(task, simulator, setting, starts, examples, found)

@@ -25,6 +25,7 @@ CONFIGS = {
     "full_dynamics": {"points": 3, "view": VIEW, "width": 8, "scene_width": 8},
     "voxel_classifier": {"points": 3, "view": VIEW, "width": 8},
     "policy": {"observation": 5, "action": 2, "width": 8, "depth": 2},
+    "validity": {"width": 8},
 }
 PLAIN = {"always": Always, "collision checker": CollisionChecker, "random recovery": RandomRecovery}
 KINDS = [*CONFIGS, "member", *PLAIN]
@@ -43,8 +44,8 @@ ACTION = jnp.array([[0.03, 0.01, 0.0]])
 
 
 def arguments(kind: str) -> tuple:
-    if kind == "policy":
-        return (jnp.linspace(-1.0, 1.0, 5),)
+    if kind in ("policy", "validity"):
+        return (jnp.linspace(-1.0, 1.0, 5 if kind == "policy" else 6),)
     judges = kind in ("classifier", "voxel_classifier", "deviation", "always", "collision checker")
     step = (Transition(BEFORE, ACTION, AFTER, jnp.array(0.01)),) if judges else (BEFORE, ACTION)
     return (OBSTACLES, *step)
