@@ -119,6 +119,21 @@ def drawn(key: Array, bounds: Float[Array, "6"]) -> Float[Array, "6"]:
     return jax.random.uniform(key, (6,), bounds.dtype, minval=-bounds, maxval=bounds)
 
 
+def problem_of(setting: Setting, movable: Movable) -> Problem:
+    """What the projection is given: what moves in an example, and where it may go."""
+    some = movable.some
+    return Problem(
+        points=movable.points,
+        radii=movable.radii,
+        obstacles=movable.stays,
+        box_low=setting.box_low,
+        box_high=setting.box_high,
+        low=-setting.bounds,
+        high=setting.bounds,
+        some=None if some is None else jnp.asarray(some),
+    )
+
+
 @eqx.filter_jit
 def transformed(
     examples: Examples, setting: Setting, parameters: Float[Array, "B 6"]
@@ -189,33 +204,23 @@ def _augment_one(
     finite = sound & jnp.isfinite(actions).all()
     for leaf in jax.tree.leaves((states, obstacles)):
         finite &= jnp.isfinite(leaf).all()
-    points, radii, stays, way, some = setting.movable(states, obstacles)
-    points = jnp.where(finite, points, 0.0)
-    low, high = -setting.bounds, setting.bounds
-    problem = Problem(
-        points=points,
-        radii=radii,
-        obstacles=stays,
-        box_low=setting.box_low,
-        box_high=setting.box_high,
-        low=low,
-        high=high,
-        some=None if some is None else jnp.asarray(some),
-    )
+    found = setting.movable(states, obstacles)
+    points = jnp.where(finite, found.points, 0.0)
+    problem = problem_of(setting, found._replace(points=points))
     target = drawn(key, setting.bounds)
-    moves = way > LEAST_MOVE
+    moves = found.way > LEAST_MOVE
     tolerance = config.box_tolerance
     inside = ((points >= setting.box_low - tolerance) & (points <= setting.box_high + tolerance)).all()
 
-    found = project(problem, target, finite & moves & inside, config, weights, validity, robot)
-    verdict = found.verdict
+    projected = project(problem, target, finite & moves & inside, config, weights, validity, robot)
+    verdict = projected.verdict
     for reason, refused in (
         (Verdict.OUTSIDE, ~inside),
         (Verdict.NOTHING_MOVED, ~moves),
         (Verdict.FAULTY, ~finite),
     ):
         verdict = jnp.where(refused, int(reason), verdict)
-    transform = jnp.where(verdict == Verdict.ACCEPTED, found.parameters, jnp.nan)
+    transform = jnp.where(verdict == Verdict.ACCEPTED, projected.parameters, jnp.nan)
     motion = RigidMotion.of(transform, problem.centre)
     there = setting.moved(states, motion)
     return Augmented(
@@ -225,5 +230,5 @@ def _augment_one(
         centre=problem.centre,
         target=target,
         verdict=verdict,
-        iterations=found.iterations,
+        iterations=projected.iterations,
     )

@@ -194,6 +194,64 @@ def project(
         `Verdict.ACCEPTED`, or the first check that fails at the best transform of the last round, or
         `Verdict.NO_PROGRESS`. Within a round, the objective at its end is never above that at its beginning.
     """
+    begin, proceed = _steps(problem, target, usable, config, weights, validity, robot)
+    end = jax.lax.while_loop(lambda carry: ~carry.done, proceed, begin)
+    excess, sound = end.excess, end.is_kept
+    if problem.some is not None:
+        fails = jax.vmap(objective(problem, config, validity, robot))(end.kept)[1]
+        latest = _last(end.is_kept)
+        excess = jnp.where(end.is_kept.any(), fails[latest], end.excess)
+        sound &= (fails == 0).all(1)
+    latest, any_sound = _last(sound), sound.any()
+    kept = jnp.where(any_sound, end.kept[latest], 0.0)
+    checks = jnp.array([Verdict.BOX, Verdict.INVALID, Verdict.OCCUPANCY, Verdict.DISTANCE, Verdict.ROBOT])
+    failed = checks[jnp.argmax(excess > 0)]
+    accepted = any_sound & (_size(kept, problem.scale) >= config.least_motion)
+    still = jnp.where((excess > 0).any(), failed, int(Verdict.NO_PROGRESS))
+    return Projected(
+        parameters=jnp.where(any_sound, kept, end.best),
+        verdict=jnp.where(accepted, int(Verdict.ACCEPTED), still),
+        objective=jnp.where(any_sound, end.kept_low[latest], end.low),
+        iterations=end.iterations,
+    )
+
+
+@eqx.filter_jit
+def projection_path(
+    problem: Problem,
+    target: Float[Array, "6"],
+    config: ProjectionConfig = ProjectionConfig(),
+    weights: Weights = Weights(),  # noqa: B008
+    validity: Term = any_transform,
+    robot: Term = free_hands,
+) -> tuple[Float[Array, "S 6"], Int[Array, ""]]:
+    """The transforms that `project` looks at, one a step, and how many it does before it ends; see there."""
+    begin, proceed = _steps(problem, target, jnp.array(True), config, weights, validity, robot)
+
+    def step(carry: _Carry, _: None) -> tuple[_Carry, tuple[Array, Array]]:
+        after = proceed(carry)
+        after = jax.tree.map(lambda new, old: jnp.where(carry.done, old, new), after, carry)
+        return after, (carry.at, ~carry.done)
+
+    _, (at, takes) = jax.lax.scan(step, begin, length=config.rounds * config.steps)
+    return at, takes.sum()
+
+
+def _size(parameters: Float[Array, "6"], scale: Float[Array, "6"]) -> Float[Array, ""]:
+    """How far a transform moves points, m."""
+    return jnp.sqrt(jnp.sum((scale * parameters) ** 2))
+
+
+def _steps(
+    problem: Problem,
+    target: Float[Array, "6"],
+    usable: Bool[Array, ""],
+    config: ProjectionConfig,
+    weights: Weights,
+    validity: Term,
+    robot: Term,
+) -> "tuple[_Carry, Callable[[_Carry], _Carry]]":
+    """How the search begins, and one step of it."""
     evaluate = objective(problem, config, validity, robot, everywhere=False)
     free, scale = problem.high > problem.low, problem.scale
 
@@ -203,9 +261,6 @@ def project(
         return total, _Judged(total, excess)
 
     with_gradient = jax.grad(judged, has_aux=True)
-
-    def size(parameters: Array) -> Array:
-        return jnp.sqrt(jnp.sum((scale * parameters) ** 2))
 
     def proceed(carry: _Carry) -> _Carry:
         gradient, here = with_gradient(carry.at)
@@ -230,7 +285,7 @@ def project(
         down = jnp.clip(carry.at - length * slope / scale, problem.low, problem.high)
 
         over = best_valid | stuck | (carry.step + 1 >= config.steps)  # this round is
-        short = size(best - carry.before) < config.least_progress
+        short = _size(best - carry.before, scale) < config.least_progress
         done = over & (short | (carry.round + 1 >= config.rounds))
         rest = jnp.maximum(config.rounds - carry.round - 1, 1)
         onward = best + (target - best) / rest
@@ -269,25 +324,7 @@ def project(
         iterations=jnp.array(0),
         done=~usable,
     )
-    end = jax.lax.while_loop(lambda carry: ~carry.done, proceed, begin)
-    excess, sound = end.excess, end.is_kept
-    if problem.some is not None:
-        fails = jax.vmap(objective(problem, config, validity, robot))(end.kept)[1]
-        latest = _last(end.is_kept)
-        excess = jnp.where(end.is_kept.any(), fails[latest], end.excess)
-        sound &= (fails == 0).all(1)
-    latest, any_sound = _last(sound), sound.any()
-    kept = jnp.where(any_sound, end.kept[latest], 0.0)
-    checks = jnp.array([Verdict.BOX, Verdict.INVALID, Verdict.OCCUPANCY, Verdict.DISTANCE, Verdict.ROBOT])
-    failed = checks[jnp.argmax(excess > 0)]
-    accepted = any_sound & (size(kept) >= config.least_motion)
-    still = jnp.where((excess > 0).any(), failed, int(Verdict.NO_PROGRESS))
-    return Projected(
-        parameters=jnp.where(any_sound, kept, end.best),
-        verdict=jnp.where(accepted, int(Verdict.ACCEPTED), still),
-        objective=jnp.where(any_sound, end.kept_low[latest], end.low),
-        iterations=end.iterations,
-    )
+    return begin, proceed
 
 
 def _last(which: Bool[Array, "N"]) -> Int[Array, ""]:

@@ -10,8 +10,8 @@ and hand) between where the simulator ends and the augmented outcome. Beside it 
   comes out the same to the last bit;
 - ``random``: the same drawn transforms, without the projection.
 
-Away from all obstacles, too, a turned transition comes out otherwise by millimetres, but for quarter turns: a
-hand's greatest force is that of each axis, and friction on a floor has a few directions.
+What is looked at apart: examples that touch an obstacle, where the moved one touches as the original does but
+with another depth and another normal, and those that do not.
 """
 
 import time
@@ -101,15 +101,27 @@ def measured(task: Task, count: int, seed: int) -> list[Row]:
     measured = compared(task, simulator, setting, starts, examples, found)
     if accepted.any():
         within = measured["augmented"] <= np.maximum(TIMES * measured["original"], SAME)
-        rows.append(
-            row("resimulated_within", tags | {"times": TIMES, "or_m": SAME}, within.mean(), "", n=within.size)
-        )
+        yardstick = tags | {"times": TIMES, "or_m": SAME}
+        rows.append(row("resimulated_within", yardstick, within.mean(), "", n=within.size))
+        touched = _touched(setting, examples, projection.skin)
+        for name, which in () if touched is None else (("touched", touched), ("clear", ~touched)):
+            some = within[which[accepted]]
+            if some.size:
+                rows.append(
+                    row("resimulated_within", yardstick | {"obstacles": name}, some.mean(), "", n=some.size)
+                )
     for method, errors in measured.items():
         for quantile in QUANTILES if len(errors) else ():
             value = np.quantile(errors, quantile)
             at = tags | {"method": method, "quantile": quantile}
             rows.append(row("resimulation_error_m", at, value, "m", n=len(errors)))
     return rows
+
+
+def _touched(setting: Setting, examples: Examples, skin: float) -> np.ndarray | None:
+    """Which examples come nearer to an obstacle than ``skin`` (m); None where nothing says how near."""
+    found = jax.vmap(setting.clearance)(examples.states, examples.obstacles)
+    return None if found is None else np.asarray(found.min(1)) < skin
 
 
 def _diversity(tags: dict[str, str], examples: Examples, found: Augmented, bounds: np.ndarray) -> list[Row]:

@@ -9,6 +9,7 @@ from doojax.experiments.drawing import Colour, Drawing
 from doojax.simulation.state import Fault
 from doojax.types import Obstacles
 from doojax.viewer import colours
+from doojax.viewer.augmentation_view import AugmentationView
 from doojax.viewer.columns import Columns, curves, shown_as
 from doojax.viewer.draw import SceneDrawing
 from doojax.viewer.episodes import Episode, episode, require_rope, title
@@ -61,6 +62,10 @@ class DatasetPage:
             self._arrangement = gui.add_dropdown("Arrangement", ARRANGEMENTS)
             self._trail = gui.add_checkbox("Trail", initial_value=True, hint="Earlier ropes, grippers' ways")
             fit = gui.add_button("Fit view")
+        self._augmentation = None
+        if "verdict" in dataset.fields:
+            with tabs.add_tab("Augmentation"):
+                self._augmentation = AugmentationView(page, dataset, lambda: self._show(self.player.moment))
         with tabs.add_tab("View"):
             self._sight = Sight(page, self._obstacles, self._film, self._place)
         for control in (self._at_once, self._arrangement):
@@ -116,12 +121,16 @@ class DatasetPage:
             self._facts.content = f"trajectory {self._dataset.rows[chosen[0]]} cannot be read"
             raise
         self._page.quiet()
+        if self._augmentation is not None:
+            self._augmentation.load(int(chosen[0]))
         self._arrange()
         self._facts.content = description
         meanings: dict[str, Colour | str] = {"rope": colours.ROPE, "earlier": "time"}
         if len(self._shown) > 1:
             rows = self._dataset.rows[chosen]
             meanings = {f"{row}": colour for row, colour in zip(rows, colours.OVERLAY, strict=False)}
+        if self._augmentation is not None:
+            meanings |= {"what is beside it": colours.CHOSEN, "searched for": colours.PREDICTION}
         self._legend.content = legend(
             {**meanings, "gripper, its way": colours.GRIPPER, "obstacle": colours.OBSTACLE}
         )
@@ -167,6 +176,8 @@ class DatasetPage:
         for place, (drawing, one) in enumerate(zip(self._drawings, self._shown, strict=False)):
             colour = colours.OVERLAY[place] if several else colours.ROPE
             show_episode(drawing, one, moment, colour=colour, trail=self._trail.value and not several)
+        if self._augmentation is not None and self._shown:
+            self._augmentation.show(self._drawings[0], self._shown[0].look, moment)
         for plot in self._plots.values():
             plot.mark(moment)
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -49,15 +50,27 @@ def test_what_errs_by_less_than_the_limit_counts_for_nothing_and_has_no_gradient
 
 
 def test_errors_that_only_tilts_make_are_learned():
-    """0.1 m for a radian about x, in truth."""
+    """0.1 m for a radian about x or y, in truth."""
     keys = jax.random.split(jax.random.key(1), 2)
     transforms = jax.random.uniform(keys[0], (600, 6), minval=-1.0, maxval=1.0)
-    errors = 0.1 * jnp.abs(transforms[:, 3])
+    errors = 0.1 * jnp.linalg.norm(transforms[:, 3:5], axis=1)
     problem = ValidityProblem(transforms[:500], errors[:500], (transforms[500:], errors[500:]), SMALL)
     model = member(fit(problem, validity_fit(500, 60), seed=0), 0)
     off = jnp.abs(jax.vmap(model.error)(transforms[500:]) - errors[500:])
-    assert float(off.mean()) < 0.006  # a constant would be 0.025 off
-    assert float(model.error(turned(2, 0.9))) < 0.02 < float(model.error(turned(0, 0.9)))
+    assert float(off.mean()) < 0.006  # a constant would be 0.023 off
+    assert float(model.error(turned(2, 0.5))) < 0.02 < 0.03 < float(model.error(turned(0, 0.5)))
+
+
+def test_up_is_seen_not_only_angles():
+    """A network that is blind for the six numbers sees no turn about the upright, and others."""
+    model = TransformValidity(SMALL, key=jax.random.key(0))
+    blind = jnp.zeros_like(model.network.layers[0].weight[:, :6])
+    model = eqx.tree_at(
+        lambda one: one.network.layers[0].weight, model, replace_fn=lambda w: w.at[:, :6].set(blind)
+    )
+    upright = [float(model.error(turned(2, angle))) for angle in (0.0, 1.0, 3.0)]
+    assert upright[1:] == pytest.approx(upright[:1] * 2, rel=1e-5)
+    assert abs(float(model.error(turned(0, 1.0))) - upright[0]) > 1e-4
 
 
 def test_where_all_places_are_alike_every_transform_is_found_valid():

@@ -16,7 +16,7 @@ from doojax.experiments.reports.provenance import digests, note_command
 from doojax.experiments.reports.rows import Row
 from doojax.experiments.reports.summary import publish_rows, row, show
 from doojax.experiments.training.train import training_progress
-from doojax.files import alone_in
+from doojax.files import alone_in, whole_file
 from doojax.keys import check_seed
 from doojax.learning.checkpoints import Header, load_model
 from doojax.learning.fit import fit, member
@@ -24,9 +24,10 @@ from doojax.learning.runs import RunDirectory
 from doojax.learning.validity import ValidityProblem, validity_fit
 from doojax.models.validity import TransformValidity, ValidityConfig
 from doojax.tasks import make_task
+from doojax.tasks.base import Task
 from doojax.tasks.ropes import OWN, OtherRope, with_rope
 
-KIND = "validity"
+KIND, TRIED = "validity", "tried.npz"
 VALIDATION = 5  # of so many transforms one is for validation
 SHOWN = (15, 30, 60, 90)  # degrees about an axis, whose errors are told
 TRANSLATION, ROTATION = (0.25, 0.25, 0.25), (1.6, 1.6, 1.6)
@@ -89,8 +90,7 @@ def train_validity(
     with alone_in(out):
         run = RunDirectory.open(out, config)
         if not run.finished:
-            console.print(f"{count} transforms of {task}, each tried on {EXAMPLES} examples", style="dim")
-            tried = transform_errors(the_task, the_task.simulator(engine), bounds, count, seed)
+            tried = _tried(out / TRIED, the_task, engine, bounds, count, seed, console)
             model = _learned(tried, epochs, seed, run, console).limited(limit)
             about = {"rope": rope.given, "seed": seed, **_found(tried, model)}
             run.finish(Header(KIND, task, asdict(ValidityConfig()), about), model)
@@ -99,6 +99,19 @@ def train_validity(
     rows = _rows(task, rope, model, header)
     publish_rows(publish, command=command, seed=seed, rows=rows, inputs=digests({"validity": out}))
     show(rows, json)
+
+
+def _tried(
+    file: Path, task: Task, engine: str, bounds: Bounds, count: int, seed: int, console: Console
+) -> TransformErrors:
+    """What the simulator does with each transform; in ``file`` for a run that goes on, and for who looks."""
+    if not file.exists():
+        console.print(f"{count} transforms of {task.name}, each tried on {EXAMPLES} examples", style="dim")
+        found = transform_errors(task, task.simulator(engine), bounds, count, seed)
+        with whole_file(file) as opened:
+            np.savez_compressed(opened, **found._asdict())
+    with np.load(file, allow_pickle=False) as stored:
+        return TransformErrors(**stored)
 
 
 def _learned(
