@@ -127,6 +127,7 @@ def test_manifests(folder):
         file.write_text(sound)
 
 
+@pytest.mark.slow
 def test_described_scenes(folder):
     file = folder / "scene.json"
     sound = json.loads(file.read_text())

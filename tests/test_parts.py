@@ -50,6 +50,7 @@ def test_a_thread_computes_in_the_callers_precision():
     assert in_parts(lambda x: x / 3, SIZE, jnp.ones(2 * SIZE)).dtype == jnp.float32
 
 
+@pytest.mark.slow
 def test_what_goes_wrong_in_a_part_goes_wrong():
     def fail(x):
         raise ValueError(f"{x.shape[0]} are too many")

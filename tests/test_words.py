@@ -24,6 +24,7 @@ def slow(*_, **__):
         (partial(scenes, "toy", count=3), "scenes.draw_scenes", "drawing 3 easy scenes of toy"),
     ],
 )
+@pytest.mark.slow
 def test_a_word_comes_before_the_wait(monkeypatch, tmp_path, capsys, command, what_is_slow, word):
     monkeypatch.setattr(f"doojax.experiments.trials.{what_is_slow}", slow)
     suffix = "npz" if "plan" in what_is_slow else "scenes"

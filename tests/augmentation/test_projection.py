@@ -61,6 +61,7 @@ def test_the_post_is_in_the_way():
     assert found.parameters[0, 0] <= 0.25 - 0.01 - 0.0009
 
 
+@pytest.mark.slow
 def test_what_the_descent_does_not_look_at_is_checked_at_the_end():
     """Of the rope only one end, away from the post: of five rounds along x the last one ends in the post."""
     problem = replace(lying_rope(), some=jnp.array([0]))

@@ -76,6 +76,7 @@ def test_a_longer_collection_begins_with_the_same_trajectories(tmp_path):
     np.testing.assert_allclose(few["points"][:], many["points"][:FEW], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_trajectory_does_not_know_what_is_simulated_beside_it(three, tmp_path):
     collect("rope_dragging", trajectories=66, states=3, engine="mujoco", out=tmp_path / "more")
     few, many = Dataset.open(three), Dataset.open(tmp_path / "more")

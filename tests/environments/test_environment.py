@@ -96,6 +96,7 @@ def test_a_batch_steps_as_its_elements_do():
             np.testing.assert_allclose(getattr(together, name)[index], getattr(alone, name), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_mujoco_c_is_an_environment_of_batches():
     environment = make_environment("rope_dragging", engine="mujoco", phase="unconstrained")
     states = environment.begin(jax.random.split(jax.random.key(6), 3))

@@ -21,6 +21,7 @@ def test_gymnasiums_own_check_passes():
         check_env(SingleEnvironment(TOY, steps=3), skip_render_check=True)
 
 
+@pytest.mark.slow
 def test_a_vector_of_episodes_ends_and_begins_anew_as_gymnasium_says():
     """Truncated after two steps; the next step's action is not taken, its reward is none."""
     many = VectorEnvironment(TOY, 3, steps=2)

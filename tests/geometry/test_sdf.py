@@ -243,6 +243,7 @@ def test_the_written_gradient_of_many_scenes_at_once_is_that_of_each():
     np.testing.assert_allclose(together, each, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_written_gradient_can_itself_be_differentiated():
     obstacles, point = random_obstacles(np.random.default_rng(8)), jnp.array([0.7, 0.1, -0.6])
 

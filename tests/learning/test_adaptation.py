@@ -92,6 +92,7 @@ def test_whatever_the_batch_size_as_much_was_seen(batch_size):
     assert found.seen == 2 * 64 * 4
 
 
+@pytest.mark.slow
 def test_focus_gets_right_what_is_alike_and_all_data_neither():
     focus, everything = adapted(), adapted(method="all_data")
     assert float(focus.dynamics.slope) == pytest.approx(FREE, abs=0.03)

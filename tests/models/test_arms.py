@@ -49,6 +49,7 @@ def seen(joints):
     return tool_poses(ROBOT, joints)[0], clearance(ROBOT, joints, ROBOT.base, -BASE[2])
 
 
+@pytest.mark.slow
 def test_hands_where_arms_are_free_are_accepted_and_elsewhere_impossible():
     random = np.random.default_rng(0)
     joints = np.asarray(STARTS)[random.integers(0, 2, 12)] + random.uniform(-0.3, 0.3, (12, 6))

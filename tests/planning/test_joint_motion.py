@@ -58,6 +58,7 @@ def exact(joints):
     return jax.lax.map(lambda one: clearance(ROBOT, one, POST), joints.reshape(-1, 3), batch_size=64)
 
 
+@pytest.mark.slow
 def test_what_can_be_reached_is_and_what_cannot_is_not(plans):
     assert plans.solved.tolist() == [True, True, False, False, True]
     assert int(plans.checks[2]) >= 1000 > 100 > int(plans.checks[1]) and int(plans.checks[3]) == 0
@@ -65,6 +66,7 @@ def test_what_can_be_reached_is_and_what_cannot_is_not(plans):
         assert int(plans.count[query]) == 1 and (plans.waypoints[query] == STARTS[query]).all()
 
 
+@pytest.mark.slow
 def test_motions_are_free_and_end_where_they_should(plans):
     for query in (0, 1, 4):
         path = plans.waypoints[query, : int(plans.count[query])]

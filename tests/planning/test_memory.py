@@ -95,6 +95,7 @@ def test_no_accepted_edge_of_a_tree_is_like_a_refuted_one():
     assert len(slots) > 100 and not ((begins < 0.0499) & (goes_on < 0.0499)).any()
 
 
+@pytest.mark.slow
 def test_luck_lets_pass_what_is_learned_and_never_what_is_physics():
     bypassed = []
     for margin in (0.0, -jnp.inf):  # the gripper and the rope may not touch the wall, or may

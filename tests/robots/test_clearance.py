@@ -112,6 +112,7 @@ def test_what_is_called_free_is_and_little_else_is_not():
 MANY = jax.jit(lambda joints, obstacles, margin: are_free(ARMS, joints, obstacles, margin, FLOOR))
 
 
+@pytest.mark.slow
 def test_many_are_free_where_each_is():
     exact_of = jax.jit(jax.vmap(lambda q, o: clearance(ARMS, q, o, FLOOR), in_axes=(0, None)))
     joints = jnp.concatenate([within_limits(ARMS, 150, 4) * 0.4, within_limits(ARMS, 50, 5) * 0.8])
@@ -176,6 +177,7 @@ def test_nothing_moves_farther_than_is_said():
     assert not np.asarray(travel(ARMS, jnp.zeros(len(ARMS.joints)))).any()
 
 
+@pytest.mark.slow
 def test_slack_is_room_for_each_capsule():
     """As much as capsules that are as much thicker; of two that may meet each has its own."""
     joints = within_limits(ARMS, 200, seed=3) * 0.3

@@ -45,6 +45,7 @@ PLANAR = """
 """
 
 
+@pytest.mark.slow
 def test_an_arm_of_two_links_goes_straight_to_where_closed_forms_have_it(tmp_path):
     """One move is free, one into a wall at y = 0.42, one beyond reach, one from beyond a limit."""
     (tmp_path / "planar.xml").write_text(PLANAR)

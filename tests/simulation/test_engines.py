@@ -82,6 +82,7 @@ def with_cube(states, x, y):
     )
 
 
+@pytest.mark.slow
 def test_free_motion_agrees_within_a_millimetre_after_a_second(scene, on_mujoco, compiled, actions):
     states = with_ropes(scene, straight_states(scene, BATCH), scene.rope)
     _, by_c = on_mujoco.rollout(states, actions)
@@ -124,6 +125,7 @@ def test_two_periods_equal_two_calls_with_one_bit_for_bit(scene, on_mujoco, acti
     assert np.array_equal(at_once.states.points[:, 2], second.states.points[:, 1])
 
 
+@pytest.mark.slow
 def test_new_obstacles_starts_and_ropes_compile_nothing(scene, compiled, actions):
     run, traces = compiled
     other = RopeParameters(0.2, 0.02, 0.4, 1e-3, bending_damping=1e-3, friction=0.3)

@@ -32,6 +32,7 @@ def still(count, periods):
     return jnp.zeros((count, periods, 1, 3))
 
 
+@pytest.mark.slow
 def test_without_errors_it_is_the_simulator(simulator, starts):
     tracked, states = begun(simulator, starts, EXACT)
     actions = 0.05 * jax.random.normal(jax.random.key(3), (COUNT, 3, 1, 3)).at[..., 2].set(0)
@@ -71,6 +72,7 @@ def test_the_simulation_goes_on_from_the_truth(simulator, starts):
     assert jnp.array_equal(known.actions, still(COUNT, 1))
 
 
+@pytest.mark.slow
 def test_periods_one_by_one_or_together_are_the_same(simulator, starts):
     tracked, states = begun(simulator, starts, Tracking(0.02, 0.01, camera=(0.0, -2.0, 1.0)))
     one = states

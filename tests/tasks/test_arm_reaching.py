@@ -57,6 +57,7 @@ def test_everything_is_free_at_the_start_and_goals_are_elsewhere(task, scenes):
         assert task.reached(one.state, np.asarray(rope[-1]) + np.array([0.02, 0.03, 0.0]))
 
 
+@pytest.mark.slow
 def test_a_scene_is_its_seeds_and_its_numbers(task, scenes):
     again = task.drawn(0, 2)
     np.testing.assert_array_equal(again.goal, scenes[2].goal)

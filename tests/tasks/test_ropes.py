@@ -16,6 +16,7 @@ from doojax.tasks.ropes import OWN, OtherRope, carrying, task_of, with_rope
 ROUGH = OtherRope(friction=0.3)
 
 
+@pytest.mark.slow
 def test_a_rope_that_states_carry_moves_as_one_that_was_compiled():
     task = make_task("rope_dragging")
     own, rough = task.simulator("mujoco"), with_rope(task, ROUGH).simulator("mujoco")

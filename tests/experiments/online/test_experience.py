@@ -69,6 +69,7 @@ def lesson(records, enrichment="none", settings=SMALL):
     ("records", "only", "none", "accepted"),
     [([record(6)], "right", "wrong", True), ([record(1, stops_after=0)], "wrong", "right", False)],
 )
+@pytest.mark.slow
 def test_data_of_one_class_are_told_and_learned(records, only, none, accepted):
     """A classifier that has only seen what goes well accepts the like, and the other way round."""
     known, figures, told = lesson(records)

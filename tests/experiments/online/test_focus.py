@@ -59,6 +59,7 @@ def test_dynamics_adapt_to_what_was_executed_and_an_estimator_judges_them(learne
     assert errors[1] < errors[0] / 2
 
 
+@pytest.mark.slow
 def test_what_is_saved_is_what_is_known(learned, tmp_path):
     one, _, taken, lesson = learned
     one.save(tmp_path, lesson.known, [])

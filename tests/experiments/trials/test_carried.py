@@ -151,6 +151,7 @@ def test_so_it_is_of_the_dual_arm_before_the_table(dual):
     check_with_mujoco(dual)
 
 
+@pytest.mark.slow
 def test_the_record_says_which_states_no_arms_carry(small):
     hands = HANDS[small.accepted][:3].copy()
     hands[1] += (2.0, 0, 0)

@@ -94,6 +94,7 @@ def test_one_record_for_every_scene(whole):
     assert config["planning"]["lanes"] == 16 and config["budget"]["searches"] == 4
 
 
+@pytest.mark.slow
 def test_more_trials_are_the_same_and_more_and_none_is_run_again(run, whole, tmp_path):
     out = run(tmp_path / "out", trials=2)
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*.npz")}

@@ -57,6 +57,7 @@ def test_a_trial_with_another_rope_is_executed_again_bit_for_bit(tmp_path):
     assert np.abs(executed_again(TASK.simulator("mujoco"), plain) - record.points).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_scenes_of_a_longer_rope_carry_it(tmp_path):
     scenes("rope_dragging", count=1, rope=OtherRope(length=0.8, friction=0.2), out=tmp_path / "long.scenes")
     drawn = load_scenes(tmp_path / "long.scenes")

@@ -29,6 +29,7 @@ from doojax.tasks.base import observed
 
 from .pushing_task import Pushed
 
+pytestmark = pytest.mark.slow
 PLANNING = RrtSettings(lanes=16, extensions=1600, duration=6, candidates=8)
 BUDGET = TrialSettings(searches=6, actions=60)
 COUNT = 4

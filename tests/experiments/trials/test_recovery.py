@@ -89,6 +89,7 @@ def test_a_recovery_that_is_random_is_as_good_as_random(data):
     assert ratio.value == pytest.approx(1)
 
 
+@pytest.mark.slow
 def test_one_stuck_state_a_trajectory_counts(data):
     found = measured(data, RandomRecovery())
     test = load_split(data, "test")

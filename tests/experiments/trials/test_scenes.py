@@ -112,6 +112,7 @@ def test_scenes_do_not_depend_on_the_engine_that_a_machine_prefers():
     assert set(asked) == {"mujoco"}
 
 
+@pytest.mark.slow
 def test_difficulties_are_what_they_say():
     easy = scenes.draw_scenes(TOY, 8, 3, "easy")
     narrow = scenes.draw_scenes(TOY, 1, 3, "narrow")  # its one wall leaves hardly any narrow ways

@@ -42,6 +42,7 @@ def test_records_hold_what_was_known_and_judge_by_the_truth(of_robot):
         assert learned is not None and np.array_equal(learned.states.points[0], record.points)
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_only_seen_to_be_reached_is_not_reached(of_robot):
     robot, given = Tracked(SIMULATOR, OFF), trials()
     reached = [record for record in records("classifier") if record.reached][:1] * 3
