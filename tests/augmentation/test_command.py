@@ -15,6 +15,7 @@ from doojax.augmentation.objectives import Weights
 from doojax.commands import parsed
 from doojax.datasets import Dataset
 from doojax.datasets.collect import collect, command_of
+from doojax.datasets.diversity import diversity
 from doojax.datasets.inspect import inspect
 from doojax.datasets.replay import replay, stored_starts
 from doojax.files import file_digest
@@ -163,3 +164,16 @@ def test_bad_options(folder, tmp_path, given, message):
 def test_data_that_are_augmented_already(folder, tmp_path):
     with pytest.raises(ValueError, match=r"is augmented already: augment .*data"):
         augment_dataset(folder / "whole", out=tmp_path / "out")
+
+
+def test_a_data_set_says_how_varied_its_augmentations_are(folder, capsys):
+    whole = opened(folder / "whole")
+    found, verdict = diversity(whole), whole["verdict"][:]
+    places = np.concatenate([whole["points"][:], whole["grippers"][:]], axis=2)
+    moved, kept = (places[verdict == which] for which in (Verdict.ACCEPTED, Verdict.ORIGINAL))
+    gaps = ((moved[:, None] - kept[None]) ** 2).sum(-1).mean((2, 3)) ** 0.5
+    assert found.nearest == pytest.approx(np.median(gaps.min(1)), rel=1e-5)
+    assert found.accepted > found.drawn > 0  # the projection does not reach all targets
+    inspect(folder / "whole")
+    told = capsys.readouterr().out
+    assert f"{found.drawn:.3f} nats as drawn, {found.accepted:.3f} as accepted" in told

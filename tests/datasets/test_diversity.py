@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from doojax.augmentation.command import augment_dataset
-from doojax.datasets import Dataset
-from doojax.datasets.collect import collect
-from doojax.datasets.diversity import divergence, diversity, evenly, nearest_distances
-from doojax.datasets.inspect import inspect
-from doojax.types import Verdict
+from doojax.datasets.diversity import divergence, evenly, nearest_distances
 
 BOUNDS = np.array([0.25, 0.0, 0.5])
 
@@ -44,19 +39,3 @@ def test_many_are_looked_at_evenly():
     assert evenly(np.arange(10)).tolist() == list(range(10))
     some = evenly(np.arange(5110))
     assert (len(some), some[0], some[-1]) == (512, 0, 5109) and (np.diff(some) >= 9).all()
-
-
-def test_an_augmented_data_set_says_how_varied_it_is(tmp_path, capsys):
-    collect("toy", trajectories=16, states=4, out=tmp_path / "data")
-    augment_dataset(tmp_path / "data", out=tmp_path / "out", copies=4)
-    made = Dataset.open(tmp_path / "out")
-    found = diversity(made)
-    verdict = made["verdict"][:]
-    places = np.concatenate([made["points"][:], made["grippers"][:]], axis=2)
-    moved, kept = (places[verdict == which] for which in (Verdict.ACCEPTED, Verdict.ORIGINAL))
-    gaps = ((moved[:, None] - kept[None]) ** 2).sum(-1).mean((2, 3)) ** 0.5
-    assert found.nearest == pytest.approx(np.median(gaps.min(1)), rel=1e-5)
-    assert found.accepted > found.drawn > 0  # the projection does not reach all targets
-    inspect(tmp_path / "out")
-    told = capsys.readouterr().out
-    assert f"{found.drawn:.3f} nats as drawn, {found.accepted:.3f} as accepted" in told

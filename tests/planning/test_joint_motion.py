@@ -12,6 +12,8 @@ from doojax.planning.joint_motion import MotionPlanner, MotionSettings, plan_mot
 from doojax.robots import clearance, read_robot
 from doojax.types import Obstacles
 
+pytestmark = pytest.mark.slow
+
 # Two links of 0.5 m that turn about z, and a third joint that never moves. Speeds of 0.5 and 1 rad/s.
 ARM = """
 <mujoco>
@@ -58,7 +60,6 @@ def exact(joints):
     return jax.lax.map(lambda one: clearance(ROBOT, one, POST), joints.reshape(-1, 3), batch_size=64)
 
 
-@pytest.mark.slow
 def test_what_can_be_reached_is_and_what_cannot_is_not(plans):
     assert plans.solved.tolist() == [True, True, False, False, True]
     assert int(plans.checks[2]) >= 1000 > 100 > int(plans.checks[1]) and int(plans.checks[3]) == 0
@@ -66,7 +67,6 @@ def test_what_can_be_reached_is_and_what_cannot_is_not(plans):
         assert int(plans.count[query]) == 1 and (plans.waypoints[query] == STARTS[query]).all()
 
 
-@pytest.mark.slow
 def test_motions_are_free_and_end_where_they_should(plans):
     for query in (0, 1, 4):
         path = plans.waypoints[query, : int(plans.count[query])]
@@ -81,7 +81,6 @@ def test_motions_are_free_and_end_where_they_should(plans):
     assert float(exact(straight).min()) < 0 and int(plans.count[0]) > 2  # the post is in the way
 
 
-@pytest.mark.slow
 def test_speeds_are_kept_and_reached(plans):
     times, path = np.asarray(plans.times), np.asarray(plans.waypoints)
     for query in (0, 1, 4):
@@ -111,7 +110,6 @@ def test_joints_go_no_farther_than_asked():
     )
 
 
-@pytest.mark.slow
 def test_a_start_in_slight_collision_is_repaired_and_in_deep_collision_refused():
     begin = jnp.array([0.09, 0.0, 0.0])
     assert -0.01 < float(clearance(ROBOT, begin, POST)) < 0.005

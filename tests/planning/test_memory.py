@@ -79,6 +79,7 @@ def searched(outcomes=(), spread=0.0, threshold=-jnp.inf, margin=-jnp.inf, **whe
     return tree, plan_of(tree)
 
 
+@pytest.mark.slow
 def test_no_accepted_edge_of_a_tree_is_like_a_refuted_one():
     _, plan = searched(goal=(0.4, -0.3))
     bodies = np.concatenate([plan.states.points, plan.states.grippers], axis=1)

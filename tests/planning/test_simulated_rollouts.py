@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from doojax.planning import Mppi, MppiSettings, SimulatedRollouts
 from doojax.planning.costs import reaching, summed
@@ -38,6 +39,7 @@ def test_from_several_states_every_sample_is_rolled_out_from_each():
     assert float(jnp.abs(both.seen.points[:, 0] - both.seen.points[:, 1]).max()) > 1e-3
 
 
+@pytest.mark.slow
 def test_the_hand_goes_to_its_goal():
     hand = SIMULATOR.observe(STATE).grippers[0]
     goal = hand + jnp.array([0.05, -0.04, 0.0])

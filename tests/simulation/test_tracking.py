@@ -42,6 +42,7 @@ def test_without_errors_it_is_the_simulator(simulator, starts):
         assert jnp.array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_hands_are_as_far_off_as_was_said_however_long_they_move(simulator, starts):
     tracked, states = begun(simulator, starts, Tracking(hand_error=0.03, correlation=0.6))
     errors = [states.astray]

@@ -28,6 +28,7 @@ def handles(app, name):
     return [key for key in drawing._handles if key.startswith(name)]
 
 
+@pytest.mark.slow
 def test_an_augmentation_stands_beside_its_original_and_its_search_is_gone_through(view, augmented):
     dataset = Dataset.open(augmented)
     verdict = dataset["verdict"][:]

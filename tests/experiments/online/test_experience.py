@@ -83,6 +83,7 @@ def test_data_of_one_class_are_told_and_learned(records, only, none, accepted):
     assert bool(judged.accepted) == accepted
 
 
+@pytest.mark.slow
 def test_examples_that_are_made_keep_labels_and_what_touches_what():
     """Augmentations neither enter the wall nor leave it; half are made of what was wrong."""
     records = [record(8, stops_after=4)]

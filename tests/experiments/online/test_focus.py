@@ -43,6 +43,7 @@ def learned():
     return one, fresh, taken, one.learned(taken.known, 0, 1)
 
 
+@pytest.mark.slow
 def test_dynamics_adapt_to_what_was_executed_and_an_estimator_judges_them(learned):
     one, fresh, taken, lesson = learned
     assert taken.figures == {"new_transitions": 10} and len(taken.known.trajectories) == 2

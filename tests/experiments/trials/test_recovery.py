@@ -14,6 +14,8 @@ from doojax.models.protocols import above
 from doojax.models.recovery import carried_along
 from doojax.planning.recovery import RandomRecovery
 
+pytestmark = pytest.mark.slow
+
 TAGS = {"task": "toy"}
 NEAR = -0.3  # m: ropes below it, to -0.5, are stuck, but an action or two may free them
 
@@ -56,7 +58,6 @@ def measured(data: Dataset, recovery, above: float = 0.0, seed: int = 0) -> dict
     return {(row.metric, row.tags.get("policy"), row.tags.get("actions")): row for row in rows}
 
 
-@pytest.mark.slow
 def test_going_towards_what_is_accepted_frees_sooner_than_chance_and_away_later(data):
     up, down = (measured(data, Along(jnp.array(way)), NEAR) for way in (1.0, -1.0))
     for most in (1, MOST_ACTIONS):
@@ -72,7 +73,6 @@ def test_going_towards_what_is_accepted_frees_sooner_than_chance_and_away_later(
     assert up["unstuck_probability", "learned", MOST_ACTIONS].value > 0.8
 
 
-@pytest.mark.slow
 def test_a_recovery_that_is_random_is_as_good_as_random(data):
     """A policy against itself, but each with an own seed: not the same figures, yet figures that agree."""
     found, other = (measured(data, RandomRecovery(), NEAR, seed=seed) for seed in (0, 1))
@@ -89,7 +89,6 @@ def test_a_recovery_that_is_random_is_as_good_as_random(data):
     assert ratio.value == pytest.approx(1)
 
 
-@pytest.mark.slow
 def test_one_stuck_state_a_trajectory_counts(data):
     found = measured(data, RandomRecovery())
     test = load_split(data, "test")
