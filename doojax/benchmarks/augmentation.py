@@ -134,12 +134,12 @@ def _diversity(tags: dict[str, str], examples: Examples, found: Augmented, bound
     ):
         if which.any():
             value, own = divergence(np.asarray(transforms)[which], bounds), tags | {"method": method}
-            rows.append(row("diversity", own | {"measure": "divergence"}, value, "nats", n=int(which.sum())))
+            rows.append(row("diversity", own, value, "nats", n=int(which.sum())))
     if accepted.any():
         there, before = (np.asarray(states.bodies()) for states in (found.states, examples.states))
         nearest = np.median(nearest_distances(there[accepted], before[sound])[0])
-        own = tags | {"method": "augmented", "measure": "nearest_original"}
-        rows.append(row("diversity", own, nearest, "m", n=int(accepted.sum())))
+        own = tags | {"method": "augmented"}
+        rows.append(row("nearest_original_m", own, nearest, "m", n=int(accepted.sum())))
     return rows
 
 
