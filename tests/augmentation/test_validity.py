@@ -134,7 +134,7 @@ def test_a_limp_rope_falls_when_it_is_laid_on_its_side_and_a_stiffer_one_less():
     base = make_task("dual_gripper", phase="unconstrained")
     bounds = Bounds((0.0, 0.0, 0.0), (1.6, 0.0, 0.0))
     limp, stiff = (
-        transform_errors(task, task.simulator("mujoco"), bounds, 24, 0)
+        transform_errors(task, task.simulator("mujoco"), bounds, 40, 0)
         for task in (base, with_rope(base, OtherRope(bending_stiffness=0.5, twisting_stiffness=0.5)))
     )
     np.testing.assert_array_equal(limp.transforms, stiff.transforms)
