@@ -41,9 +41,7 @@ def pytest_xdist_make_scheduler(config, log):
 def pytest_collection_modifyitems(items):
     """The dearest folders first."""
     places = {name: place for place, name in enumerate(DEAREST)}
-    items.sort(
-        key=lambda item: places.get(folder_of(item.nodeid), len(places))
-    )  # stable: a file stays together
+    items.sort(key=lambda item: places.get(folder_of(item.nodeid), len(places)))  # stable: files stay whole
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -1,8 +1,10 @@
 """An augmentation in the page: beside its original or the nearest one, and as it was searched for."""
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float
 
 from doojax.augmentation.replay import Replayed, original_of, replayed
 from doojax.datasets import Dataset
@@ -11,7 +13,7 @@ from doojax.experiments.drawing import Drawing
 from doojax.experiments.trials.records import Look
 from doojax.types import Verdict
 from doojax.viewer import colours
-from doojax.viewer.episodes import episode
+from doojax.viewer.episodes import Episode, episode
 from doojax.viewer.page import Page
 from doojax.viewer.show import GHOST, between, show_rope
 
@@ -26,7 +28,8 @@ class AugmentationView:
         gui = page.server.gui
         self._dataset, self._index = dataset, 0
         self.beside: int | None = None  # index of the row that is shown as a ghost
-        self._search: Replayed | None = None
+        self._ghost: Episode | None = None  # that row
+        self._search: tuple[Replayed, Episode] | None = None  # and what was moved
         self._originals = evenly(np.flatnonzero(dataset["verdict"][:] == Verdict.ORIGINAL))
         self._facts = gui.add_markdown("")
         self._choice = gui.add_dropdown("Beside it", (OWN, NEAREST, NOTHING))
@@ -38,8 +41,9 @@ class AugmentationView:
             again()
 
         def search() -> None:
-            self._search = replayed(dataset, self._index)
-            self._step.max, self._step.visible = len(self._search.transforms) - 1, True
+            found = replayed(dataset, self._index)
+            self._search = found, episode(dataset, found.original)
+            self._step.max, self._step.visible = len(found.transforms) - 1, True
             self._step.value = self._step.max
             again()
 
@@ -67,27 +71,31 @@ class AugmentationView:
             lines.append(f"made of row {dataset.rows[original]}")
             if chosen == OWN:
                 self.beside = original
+        self._ghost = None if self.beside is None else episode(dataset, self.beside)
         self._facts.content = "  \n".join(lines)
 
     def _nearest(self, index: int) -> tuple[float, int]:
         """How far (m) the nearest of at most 512 originals is, and its index."""
-        places = [positions(self._dataset, rows) for rows in (np.array([index]), self._originals)]
-        gaps, numbers = nearest_distances(*places)
+        own = positions(self._dataset, np.array([index]))
+        gaps, numbers = nearest_distances(own, self._original_places)
         return float(gaps[0]), int(self._originals[numbers[0]])
+
+    @cached_property
+    def _original_places(self) -> Float[np.ndarray, "N T K 3"]:
+        return positions(self._dataset, self._originals)
 
     def places(self, moment: float) -> tuple[np.ndarray, np.ndarray]:
         """The rope's points and the grippers where the search is, m; a search has to have been asked for."""
         if self._search is None:
             raise ValueError("nothing was searched for: press Search again first")
-        original, step = episode(self._dataset, self._search.original), int(self._step.value)
-        at = (between(original.points, moment), between(original.grippers, moment))
-        return self._search.places(step, at[0]), self._search.places(step, at[1])
+        (search, original), step = self._search, int(self._step.value)
+        points, grippers = between(original.points, moment), between(original.grippers, moment)
+        return search.places(step, points), search.places(step, grippers)
 
     def show(self, drawing: Drawing, look: Look, moment: float) -> None:
         """Draw what stands beside the augmentation, and the step of its search."""
         drawn = {}
-        if self.beside is not None:
-            one = episode(self._dataset, self.beside)
+        if (one := self._ghost) is not None:
             drawn["beside"] = between(one.points, moment), between(one.grippers, moment), colours.CHOSEN
         if self._search is not None:
             drawn["search"] = *self.places(moment), colours.PREDICTION

@@ -12,8 +12,6 @@ from doojax.planning.joint_motion import MotionPlanner, MotionSettings, plan_mot
 from doojax.robots import clearance, read_robot
 from doojax.types import Obstacles
 
-pytestmark = pytest.mark.slow
-
 # Two links of 0.5 m that turn about z, and a third joint that never moves. Speeds of 0.5 and 1 rad/s.
 ARM = """
 <mujoco>
@@ -60,6 +58,7 @@ def exact(joints):
     return jax.lax.map(lambda one: clearance(ROBOT, one, POST), joints.reshape(-1, 3), batch_size=64)
 
 
+@pytest.mark.slow
 def test_what_can_be_reached_is_and_what_cannot_is_not(plans):
     assert plans.solved.tolist() == [True, True, False, False, True]
     assert int(plans.checks[2]) >= 1000 > 100 > int(plans.checks[1]) and int(plans.checks[3]) == 0
@@ -67,6 +66,7 @@ def test_what_can_be_reached_is_and_what_cannot_is_not(plans):
         assert int(plans.count[query]) == 1 and (plans.waypoints[query] == STARTS[query]).all()
 
 
+@pytest.mark.slow
 def test_motions_are_free_and_end_where_they_should(plans):
     for query in (0, 1, 4):
         path = plans.waypoints[query, : int(plans.count[query])]
@@ -81,6 +81,7 @@ def test_motions_are_free_and_end_where_they_should(plans):
     assert float(exact(straight).min()) < 0 and int(plans.count[0]) > 2  # the post is in the way
 
 
+@pytest.mark.slow
 def test_speeds_are_kept_and_reached(plans):
     times, path = np.asarray(plans.times), np.asarray(plans.waypoints)
     for query in (0, 1, 4):
@@ -95,6 +96,7 @@ def test_speeds_are_kept_and_reached(plans):
     assert one.at(jnp.array(9.0)) == pytest.approx(np.array([1.6, 0.5, 0]), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_query_depends_on_its_own_number_alone(plans):
     others = jnp.roll(GOALS, 1, 0).at[0].set(GOALS[0])
     again = plan_motions(PLANNER, STARTS, others[:, None], KEY)
@@ -110,6 +112,7 @@ def test_joints_go_no_farther_than_asked():
     )
 
 
+@pytest.mark.slow
 def test_a_start_in_slight_collision_is_repaired_and_in_deep_collision_refused():
     begin = jnp.array([0.09, 0.0, 0.0])
     assert -0.01 < float(clearance(ROBOT, begin, POST)) < 0.005

@@ -22,8 +22,6 @@ from doojax.types import Obstacles, RopeState, Transition
 from tests.robots.small_arms import SMALL, STARTS
 from tests.simulation.scenes import no_start
 
-pytestmark = pytest.mark.slow
-
 TASK = make_task("dual_gripper")
 TABLE, BOX = ((0.8, 0.0, 0.565), (0.4, 0.75, 0.06)), ((0.6, 0.1, 0.775), (0.06, 0.06, 0.15))
 OBSTACLES = Obstacles(
@@ -143,6 +141,7 @@ def check_with_mujoco(case: Case) -> None:
             assert least > 0
 
 
+@pytest.mark.slow
 def test_what_is_accepted_can_be_carried_out_by_mujocos_own_check(small):
     check_with_mujoco(small)
 
@@ -152,6 +151,7 @@ def test_so_it_is_of_the_dual_arm_before_the_table(dual):
     check_with_mujoco(dual)
 
 
+@pytest.mark.slow
 def test_the_record_says_which_states_no_arms_carry(small):
     hands = HANDS[small.accepted][:3].copy()
     hands[1] += (2.0, 0, 0)
@@ -168,6 +168,7 @@ def goals_of(*targets):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
 
 
+@pytest.mark.slow
 def test_a_goal_out_of_the_arms_reach_and_a_start_that_they_cannot_hold_are_told(small):
     good = HANDS[small.accepted][0]
     in_the_table = np.array([[0.6, 0.2, 0.6], [0.6, -0.2, 0.6]], np.float32)
