@@ -1,6 +1,7 @@
 """Learn PropNet from trajectories, many networks beside each other, each from data of its own."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -140,22 +141,20 @@ def stay_error(data: PushingData) -> float:
     return float(np.asarray(_distance(data.places[:, 1:, :-1], data.places[:, :1, :-1])).mean())
 
 
-def pushing_preset(name: str, bodies: int, period: float) -> PushingPreset:
-    """`thesis`: its sizes, on whole trajectories; `quick`: narrow, with few joints, on windows."""
+PushingPresetName = Literal["quick", "thesis_network", "thesis"]
+
+
+def pushing_preset(name: PushingPresetName, bodies: int, period: float) -> PushingPreset:
+    """`thesis`: its sizes, on whole trajectories; `quick`: narrow, with few joints, on windows.
+
+    `thesis_network` has the widths and passes of the thesis's, and learns as the quick one does.
+    """
     if name == "thesis":
         network = PropNetConfig(bodies, period)
         fit = FitConfig(epochs=250, batch_size=32, schedule="constant")
         return PushingPreset(network, fit, window=49, steps=500)
-    network = PropNetConfig(
-        bodies,
-        period,
-        particle=32,
-        relation=32,
-        effect=32,
-        passes=2,
-        joints=24,
-        position_unit=0.05,
-        motion_unit=0.003,
-    )
+    network = PropNetConfig(bodies, period, joints=24, position_unit=0.05, motion_unit=0.003)
+    if name == "quick":
+        network = replace(network, particle=32, relation=32, effect=32, passes=2)
     fit = FitConfig(epochs=25, batch_size=16, learning_rate=2e-3)
     return PushingPreset(network, fit, window=10, steps=100)

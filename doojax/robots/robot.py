@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -257,5 +258,6 @@ def _pairs(robot: Robot) -> tuple[tuple[int, int], ...]:
     pairs = [
         (i, j) for i in range(len(links)) for j in range(i + 1, len(links)) if not joined(links[i], links[j])
     ]
-    apart = np.asarray(capsule_distances(robot, robot.zero, pairs)) > 0
+    at_zero = jax.jit(lambda robot: capsule_distances(robot, robot.zero, pairs))  # compiles as one
+    apart = np.asarray(at_zero(robot)) > 0
     return tuple(pair for pair, free in zip(pairs, apart, strict=True) if free)

@@ -73,6 +73,7 @@ def test_up_is_seen_not_only_angles():
     assert abs(float(model.error(turned(0, 1.0))) - upright[0]) > 1e-4
 
 
+@pytest.mark.slow
 def test_where_all_places_are_alike_every_transform_is_found_valid():
     task = make_task("toy", phase="unconstrained")
     found = transform_errors(task, task.simulator("mujoco"), Bounds((0.2, 0.2, 0.0), (0.0, 0.0, 1.0)), 70, 0)
@@ -82,6 +83,7 @@ def test_where_all_places_are_alike_every_transform_is_found_valid():
     assert found.errors.max() < 1e-5
 
 
+@pytest.mark.slow
 def test_an_augmentation_keeps_to_what_is_valid():
     task = make_task("toy", phase="unconstrained")
     setting = setting_of(task, Bounds((0.2, 0.2, 0.0), (0.0, 0.0, 1.0)))
@@ -97,6 +99,7 @@ def test_an_augmentation_keeps_to_what_is_valid():
     assert (np.asarray(kept.verdict) == Verdict.ACCEPTED).sum() > 16
 
 
+@pytest.mark.slow
 def test_what_was_learned_is_used_by_the_command_and_recorded(tmp_path):
     bounds = {"translation": (0.2, 0.2, 0.0), "rotation": (0.0, 0.0, 1.0)}
     train_validity("toy", out=tmp_path / "validity", transforms=20, epochs=2, **bounds)

@@ -85,6 +85,7 @@ def test_a_tool_follows_displacements_in_a_scene(task):
     assert np.abs(np.asarray(after.hands - seen.hands)[1 - HAND]).max() < 0.01  # the other tool stays
 
 
+@pytest.mark.slow
 def test_the_physics_alone_cost_less_than_a_command(task):
     bare = Bare(task, 2)
     state, actions = task.drawn(bench.SEED, 0).state, np.zeros((2, 2, task.scene.layout.driven.size))

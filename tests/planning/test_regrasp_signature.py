@@ -11,7 +11,7 @@ from doojax.topology.skeletons import make_skeleton
 
 ROBOT = dual_arm()
 JOINTS = ROBOT.zero
-TOOLS = np.asarray(tool_poses(ROBOT, JOINTS)[0])
+TOOLS = np.asarray(jax.jit(tool_poses)(ROBOT, JOINTS)[0])
 NOTHING = float("nan")
 FASTENED = np.array([0.0, 1.5, 0.5])
 
@@ -30,7 +30,7 @@ def ring(centre, normal, radius=0.06):
 @pytest.fixture(scope="module")
 def vectors():
     """Vectors of the signature with rings about the left tool's link, the rope's middle, and the tether."""
-    elbow, _ = link_poses(ROBOT, JOINTS)
+    elbow, _ = jax.jit(link_poses)(ROBOT, JOINTS)
     chain = ROBOT.chain(ROBOT.tool_links[0])
     wrist = np.asarray(elbow)[chain[-1]]
     rings = {

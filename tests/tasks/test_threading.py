@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from doojax.keys import generator
 from doojax.tasks.arms import BASE
@@ -20,7 +21,11 @@ from doojax.topology.field import magnetic_field
 from doojax.topology.linking import linking_number
 
 TASK = threading()
-DRAWN = [TASK.draw(TASK, generator(0, "test", "threading", str(i))) for i in range(20)]
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return [TASK.draw(TASK, generator(0, "test", "threading", str(i))) for i in range(20)]
 
 
 def test_an_opening_has_the_corners_and_the_field_of_the_released_code():
@@ -37,24 +42,24 @@ def test_an_opening_has_the_corners_and_the_field_of_the_released_code():
     np.testing.assert_allclose(field / np.linalg.norm(field), [-0.878, 0.480, 0], atol=1e-3)
 
 
-def test_a_cable_that_goes_from_its_fastening_to_the_goal_goes_along_the_fields():
-    for drawn in DRAWN[:3]:
-        middles = {name: loop[:-1].mean(0) for name, loop in TASK.loops(drawn.centres).items()}
-        way = [drawn.centres["attach"], *middles.values(), drawn.goal]
-        closed = np.array([*way, drawn.goal - [0, 3, 0], way[0] - [0, 3, 0], way[0]])
-        for loop in TASK.loops(drawn.centres).values():
+def test_a_cable_that_goes_from_its_fastening_to_the_goal_goes_along_the_fields(drawn):
+    for one in drawn[:3]:
+        middles = {name: loop[:-1].mean(0) for name, loop in TASK.loops(one.centres).items()}
+        way = [one.centres["attach"], *middles.values(), one.goal]
+        closed = np.array([*way, one.goal - [0, 3, 0], way[0] - [0, 3, 0], way[0]])
+        for loop in TASK.loops(one.centres).values():
             assert linking_number(closed, loop) == 1
 
 
-def test_what_is_drawn_is_within_the_limits():
-    for drawn in DRAWN:
+def test_what_is_drawn_is_within_the_limits(drawn):
+    for one in drawn:
         for name, place in FIXTURES.items():
-            off = np.abs(drawn.centres[name] - np.array(BASE) - place)
+            off = np.abs(one.centres[name] - np.array(BASE) - place)
             assert off[0] <= SPREAD[0] and off[1] == 0 and off[2] <= SPREAD[1]
-        assert np.isnan(drawn.start[0]) and HELD[0] <= drawn.start[1] <= HELD[1]
-        np.testing.assert_allclose(drawn.rope[0] - np.array(BASE), FASTENED, atol=1e-9)
-        np.testing.assert_allclose(np.linalg.norm(np.diff(drawn.rope, axis=0), axis=1), LENGTH / LINKS)
-    assert len({float(drawn.goal @ drawn.centres["loop1"]) for drawn in DRAWN}) == len(DRAWN)
+        assert np.isnan(one.start[0]) and HELD[0] <= one.start[1] <= HELD[1]
+        np.testing.assert_allclose(one.rope[0] - np.array(BASE), FASTENED, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(np.diff(one.rope, axis=0), axis=1), LENGTH / LINKS)
+    assert len({float(one.goal @ one.centres["loop1"]) for one in drawn}) == len(drawn)
 
 
 def test_the_cable_hangs_between_fastening_and_hand_and_in_equilibrium():

@@ -175,7 +175,9 @@ def test_numbers_at_an_axis_are_round_and_short(low, high, logarithmic, texts):
     np.testing.assert_allclose(found["splits"], [float(text) for text in texts])
 
 
-@pytest.mark.parametrize(("host", "everybody"), [(None, False), ("0.0.0.0", True)])
+@pytest.mark.parametrize(
+    ("host", "everybody"), [(None, False), pytest.param("0.0.0.0", True, marks=pytest.mark.slow)]
+)
 def test_only_this_machine_can_look_unless_told_otherwise(tmp_path, host, everybody):
     command = [sys.executable, "-m", "doojax.cli", "view", str(tmp_path), "--port", "0"]
     command += [] if host is None else ["--host", host]

@@ -79,6 +79,7 @@ def everything_in_sight(look, app, server) -> bool:
     return bool(inside.all() and (np.ptp(column) > 0.6 * width or np.ptp(row) > 0.6 * height))
 
 
+@pytest.mark.slow
 def test_everything_is_in_sight_in_small_pages_until_the_view_is_turned_by_hand(towed, new_look, server):
     _, app, dataset = towed
     small = new_look(width=800, height=500)
@@ -184,6 +185,7 @@ def test_playing_goes_round_or_stops_at_the_end(towed):
     look.until(lambda: look.number("State") == last)
 
 
+@pytest.mark.slow
 def test_two_look_at_the_same_and_a_reload_comes_back_to_it(towed, new_look):
     look, app, dataset = towed
     ropes = dataset["points"][0]
@@ -254,6 +256,7 @@ def test_a_trial_shows_tree_path_goal_and_jumps_between_events(view, contents):
     look.until(lambda: (look.pixels() != with_tree).any(-1).sum() > 500)
 
 
+@pytest.mark.slow
 def test_a_tree_of_twenty_thousand_nodes_is_one_object(view, tmp_path):
     record = trial_record(seed=2, nodes=20_000)
     save_record(tmp_path / "large.npz", record)

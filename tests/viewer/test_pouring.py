@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 
 from doojax.keys import stream
 from doojax.simulation.fluid.pouring import split
@@ -20,6 +21,7 @@ def cup(places, pose):
     return Flow(make_task("watering_2d").scene, np.insert(places, 1, 0.0, axis=2), pose)
 
 
+@pytest.mark.slow
 def test_fluid_and_plant_are_in_the_picture():
     task = make_task("watering_2d")
     simulator = task.simulator()

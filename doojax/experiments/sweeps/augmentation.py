@@ -25,8 +25,14 @@ from doojax.experiments.sweeps.pushing_sets import METHODS, PushingSet, learned_
 from doojax.experiments.training.train import training_progress
 from doojax.files import file_digest
 from doojax.learning.fit import fit, member
-from doojax.learning.presets import PresetName
-from doojax.learning.pushing import PropNetProblem, PushingData, measured, pushing_preset, stay_error
+from doojax.learning.pushing import (
+    PropNetProblem,
+    PushingData,
+    PushingPresetName,
+    measured,
+    pushing_preset,
+    stay_error,
+)
 from doojax.learning.runs import RunDirectory
 from doojax.tasks import make_task
 
@@ -42,7 +48,7 @@ def augmentation_study(
     seeds: int = 10,
     trajectories: int = 60,
     copies: int = 25,
-    preset: PresetName = "quick",
+    preset: PushingPresetName = "quick",
     epochs: int | None = None,
     seed: int = 0,
     json: bool = False,
@@ -60,7 +66,7 @@ def augmentation_study(
         seeds: sets of trajectories, and networks for each method.
         trajectories: of a set.
         copies: made of each trajectory by a method that makes any; of augmentations, those accepted count.
-        preset: quick or thesis, of the network and its training.
+        preset: of network and training: quick, thesis, or thesis_network, trained as the quick one.
         epochs: in place of the preset's.
         seed: of everything that is random.
         json: print the rows as JSON instead of a table.
@@ -111,7 +117,10 @@ def augmentation_study(
     with training_progress(console, "propnet") as report:
         models = fit(problem, config, seed=seed, run=run, members=members, report=report)
     found = [measured(member(models, index), test) for index in range(config.members)]
-    rows = _rows(methods, seeds, trajectories, found, stay_error(test))
+    tags = {"task": TASK, "trajectories": trajectories}
+    learned = tags | {"preset": preset, "steps": config.epochs * chosen.steps}
+    rows = [row("position_error_m", tags | {"method": "nothing_moves"}, stay_error(test), "m")]
+    rows += _rows(methods, seeds, learned, found)
     share = counts.reshape(seeds, len(methods)) / trajectories
     for method, kept in zip(methods, share.T, strict=True):
         console.print(f"{method}: {kept.mean():.1f} trajectories to learn from for each that was simulated")
@@ -125,24 +134,18 @@ def _collected(folder: Path, count: int, seed: int) -> Dataset:
 
 
 def _rows(
-    methods: tuple[str, ...],
-    seeds: int,
-    trajectories: int,
-    found: list[dict[str, Any]],
-    stay: float,
+    methods: tuple[str, ...], seeds: int, tags: dict[str, Any], found: list[dict[str, Any]]
 ) -> list[Row]:
-    """All figures; members are the methods of the first seed, those of the second, ..."""
+    """Figures of networks; members are the methods of the first seed, those of the second, ..."""
     of = {
         name: np.array([float(one[name]) for one in found]).reshape(seeds, len(methods)) for name in found[0]
     }
     rows = []
     for column, method in enumerate(methods):
-        tags = {"task": TASK, "method": method, "trajectories": trajectories}
         for name, values in of.items():
             estimate = bootstrap(values[:, column])
-            rows.append(row(f"{name}_m", tags, estimate.value, "m", estimate.low, estimate.high, seeds))
-    tags = {"task": TASK, "method": "nothing_moves", "trajectories": trajectories}
-    rows.append(row("position_error_m", tags, stay, "m"))
+            its = tags | {"method": method}
+            rows.append(row(f"{name}_m", its, estimate.value, "m", estimate.low, estimate.high, seeds))
     if "augmentation" not in methods or seeds < 2:
         return rows
     errors = of["position_error"]
@@ -150,10 +153,10 @@ def _rows(
     for column, method in enumerate(methods):
         if method == "augmentation":
             continue
-        tags = {"task": TASK, "against": method, "trajectories": trajectories}
+        against = tags | {"against": method}
         less = bootstrap(1 - ours / errors[:, column])
-        rows.append(row("error_reduction", tags, less.value, "", less.low, less.high, seeds))
+        rows.append(row("error_reduction", against, less.value, "", less.low, less.high, seeds))
         for test in (paired_t, permutation):
             p_value = test(ours, errors[:, column]).p_value
-            rows.append(row("p_value", tags | {"test": test.__name__}, p_value, "", n=seeds))
+            rows.append(row("p_value", against | {"test": test.__name__}, p_value, "", n=seeds))
     return rows

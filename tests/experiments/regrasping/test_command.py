@@ -1,5 +1,7 @@
 """`doojax regrasp`: which trials are run, what is kept of them, and that they go on after a kill."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from rich.console import Console
@@ -48,7 +50,12 @@ def trial(reached: bool, method: str = "signature", seconds: Seconds = SECONDS) 
 
 
 CONSOLE = Console(quiet=True)
-SCENES = scenes_of(scenes.TASK, 0, [scenes.start()._replace(attempt=number) for number in range(3)])
+
+
+@cache
+def three():
+    """Scenes."""
+    return scenes_of(scenes.TASK, 0, [scenes.start()._replace(attempt=number) for number in range(3)])
 
 
 @pytest.fixture
@@ -73,7 +80,7 @@ def test_a_killed_run_goes_on_and_leaves_the_same_bytes(ran, tmp_path):
     counts = {"signature": 3, "nearest": 2}
 
     def run(out):
-        return run_missing(scenes.TASK, SCENES, counts, 0, RegraspSettings(), out, CONSOLE)
+        return run_missing(scenes.TASK, three(), counts, 0, RegraspSettings(), out, CONSOLE)
 
     until[0] = ("nearest", 1)
     with pytest.raises(KeyboardInterrupt):

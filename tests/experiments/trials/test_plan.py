@@ -52,6 +52,7 @@ def test_no_record_is_overwritten(tmp_path, monkeypatch):
     assert first.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_only_planned_nothing_moves_and_goals_may_be_combined(tmp_path):
     goal, gripper = (0.0, -0.45, HEIGHT), (-0.1, -0.4, HEIGHT)
     toy(
