@@ -79,3 +79,32 @@ def test_numbered_keys_depend_on_their_own_numbers_alone():
 def test_numpy_generators_have_names_too():
     draws = [generator(2**40, name).integers(2**60) for name in ("a", "b", "a")]
     assert draws[0] == draws[2] != draws[1]
+
+
+def twice(key):
+    return jax.random.uniform(key) + jax.random.normal(key)
+
+
+def scanned(key):
+    return jax.lax.scan(lambda total, _: (total + jax.random.uniform(key), None), 0.0, length=2)[0]
+
+
+def made_inside(seed):
+    return twice(jax.random.key(seed))
+
+
+@pytest.mark.parametrize("reuses", [twice, scanned, jax.jit(twice), jax.jit(scanned)])
+def test_a_key_that_is_used_twice_is_an_error_in_all_tests(reuses):
+    with pytest.raises(jax.errors.KeyReuseError):
+        reuses(stream(0, "test"))
+
+
+def test_so_are_those_of_a_batch():
+    with pytest.raises(jax.errors.KeyReuseError):
+        jax.vmap(twice)(jax.random.split(stream(0, "test"), 3))
+
+
+@pytest.mark.parametrize("makes", [made_inside, jax.jit(made_inside)])
+def test_so_is_one_that_is_made_where_it_is_used(makes):
+    with pytest.raises(jax.errors.KeyReuseError):
+        makes(3)

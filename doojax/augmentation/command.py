@@ -2,7 +2,9 @@
 
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,12 @@ import numpy as np
 from jaxtyping import Array
 from rich.console import Console
 
+from doojax.augmentation.choice import augment_evenly, rarity
 from doojax.augmentation.examples import Augmented, Bounds, Examples, Setting, augment
 from doojax.augmentation.objectives import Weights, any_transform
-from doojax.augmentation.projection import ProjectionConfig, Term
+from doojax.augmentation.projection import Term
 from doojax.augmentation.settings import setting_of, usual
+from doojax.datasets.diversity import evenly
 from doojax.datasets.files import MANIFEST
 from doojax.datasets.manifest import Field
 from doojax.datasets.progress import progress_bar
@@ -35,6 +39,7 @@ from doojax.types import Obstacles, Verdict
 SHARD_SIZE = 64
 BY_STATE = ("clearance", "stretch")  # besides the states themselves, one value for each state
 Way = tuple[float, float, float]
+type Augmenter = Callable[[Array, Examples], Augmented]  # from the keys of its targets
 STARTS = ("initial_qpos", "initial_qvel", "initial_commanded")
 
 
@@ -74,6 +79,7 @@ def augment_dataset(
     distance_tolerance: float | None = None,
     weights: Weights = Weights(),  # noqa: B008
     validity: Path | None = None,
+    tries: int = 1,
     seed: int = 0,
 ) -> None:
     """Write a data set beside augmentations of it: moved rigidly to where they touch as they did.
@@ -95,6 +101,8 @@ def augment_dataset(
         weights: of the objective's terms. One of 0 leaves a term's gradient out; its check still holds.
         validity: a run of `doojax train validity` with the data's rope, which refuses transforms; by default
             all are valid, and those of ropes do not tilt.
+        tries: targets tried for each augmentation. The projection shortens transforms; of several that are
+            accepted one is chosen so that not what is aimed at but what comes of it is uniform.
         seed: of the transforms.
 
     Raises:
@@ -106,7 +114,7 @@ def augment_dataset(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # said below
         source = Dataset.open(data)
-    plan = _planned(source, copies, steps)
+    plan = _planned(source, copies, steps, tries)
     task = task_of(source.config)
     bounds, projection = usual(task)
     bounds = Bounds(translation or bounds.translation, rotation or bounds.rotation)
@@ -126,9 +134,11 @@ def augment_dataset(
             "distance_tolerance": projection.distance_tolerance,
             "weights": asdict(weights),
             **digest,
+            **({} if tries == 1 else {"tries": tries}),
             "seed": seed,
         },
     }
+    how: Augmenter = partial(augment, setting=setting, config=projection, weights=weights, validity=term)
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
     with alone_in(out):
         writer = DatasetWriter.open(
@@ -136,12 +146,14 @@ def augment_dataset(
         )
         missing = writer.missing_shards()
         counts = Counter()
+        if missing and tries > 1:
+            how = _evenly(source, task, setting, how, plan, tries, seed)
         with progress_bar(console) as progress:
             total = sum(len(writer.manifest.rows(shard)) for shard in missing)
             bar = progress.add_task(f"augmenting {task.name}", total=total, note="")
             for shard in missing:
                 rows = np.array(writer.manifest.rows(shard))
-                arrays = _shard(source, task, setting, projection, weights, term, plan, rows, seed)
+                arrays = _shard(source, task, setting, how, plan, rows, seed)
                 writer.write(shard, arrays)
                 counts.update(arrays["verdict"].tolist())
                 tried = sum(counts.values()) - counts[Verdict.ORIGINAL]
@@ -186,7 +198,7 @@ def schema(source: Dataset, steps: int) -> dict[str, Field]:
     }
 
 
-def _planned(source: Dataset, copies: int, steps: int | None) -> _Plan:
+def _planned(source: Dataset, copies: int, steps: int | None, tries: int) -> _Plan:
     lacking = [name for name in ("actions", "faults", *STARTS) if name not in source.fields]
     if lacking:
         raise ValueError(f"{source.path} holds nothing to augment: no field {', '.join(lacking)}")
@@ -197,8 +209,9 @@ def _planned(source: Dataset, copies: int, steps: int | None) -> _Plan:
         )
     if not source.complete:
         raise ValueError(f"{source.path} is unfinished: resume its collection first")
-    if copies < 1:
-        raise ValueError(f"copies is {copies}, expected at least 1")
+    for name, count in (("copies", copies), ("tries", tries)):
+        if count < 1:
+            raise ValueError(f"{name} is {count}, expected at least 1")
     periods = source.fields["actions"].shape[0]
     steps = periods if steps is None else steps
     if not 1 <= steps <= periods:
@@ -217,19 +230,26 @@ def _learned_validity(path: Path, source: Dataset) -> tuple[Term, dict[str, str]
     return model, {"validity": str(path), "validity_sha256": file_digest(file)}
 
 
-def _shard(
-    source: Dataset,
-    task: Task,
-    setting: Setting,
-    projection: ProjectionConfig,
-    weights: Weights,
-    validity: Term,
-    plan: _Plan,
-    rows: np.ndarray,
-    seed: int,
-) -> dict[str, np.ndarray]:
-    """All fields of some rows."""
-    trajectory, first, augmented = plan.place(rows)
+def _evenly(
+    source: Dataset, task: Task, setting: Setting, how: Augmenter, plan: _Plan, tries: int, seed: int
+) -> Augmenter:
+    """``how``, but that what is accepted is uniform, as far as some rows tell how it otherwise is not."""
+    bounds, seen = np.asarray(setting.bounds, float), []
+    some = evenly(np.arange(plan.rows))
+    for rows in np.array_split(some, -(-len(some) // SHARD_SIZE)):
+        _, examples, _ = _read(source, task, plan, rows)
+        found = how(numbered(stream(seed, "augment", "pilot"), np.resize(rows, SHARD_SIZE)), examples)
+        accepted = np.asarray(found.verdict) == Verdict.ACCEPTED
+        seen.append(np.asarray(found.transform)[: len(rows)][accepted[: len(rows)]])
+    weights = rarity(np.concatenate(seen), bounds)
+    return lambda keys, examples: augment_evenly(lambda own: how(own, examples), keys, weights, bounds, tries)
+
+
+def _read(
+    source: Dataset, task: Task, plan: _Plan, rows: np.ndarray
+) -> tuple[dict[str, np.ndarray], Examples, SimState]:
+    """All fields of the originals of some rows; their examples and starts, repeated to fill a batch."""
+    trajectory, first, _ = plan.place(rows)
     needed, where = np.unique(trajectory, return_inverse=True)
     values = {name: source[name][needed][where] for name in source.fields}
     kind, names = state_names(source.fields)
@@ -255,9 +275,6 @@ def _shard(
         obstacles=obstacles,
         sound=(batch["faults"] == 0).all(1),
     )
-    found = augment(
-        numbered(stream(seed, "augment"), rows[full]), examples, setting, projection, weights, validity
-    )
     starts = SimState(
         qpos=batch["initial_qpos"],
         qvel=batch["initial_qvel"],
@@ -268,9 +285,20 @@ def _shard(
         faults=jnp.zeros(SHARD_SIZE, dtype=jnp.int32),
         model_fields={},
     )
+    return values, examples, starts
+
+
+def _shard(
+    source: Dataset, task: Task, setting: Setting, how: Augmenter, plan: _Plan, rows: np.ndarray, seed: int
+) -> dict[str, np.ndarray]:
+    """All fields of some rows."""
+    trajectory, first, augmented = plan.place(rows)
+    values, examples, starts = _read(source, task, plan, rows)
+    found = how(numbered(stream(seed, "augment"), np.resize(rows, SHARD_SIZE)), examples)
     changed = _derived(task, setting, examples, found, starts)
-    if "stretch" in batch:
-        changed["stretch"] = np.where(np.isnan(changed["clearance"]), np.nan, np.asarray(batch["stretch"]))
+    if "stretch" in values:
+        stretch = np.resize(values["stretch"], (SHARD_SIZE, *values["stretch"].shape[1:]))
+        changed["stretch"] = np.where(np.isnan(changed["clearance"]), np.nan, stretch)
     arrays = {name: value.copy() for name, value in values.items()}
     for name, value in changed.items():
         mine = np.asarray(value)[: len(rows)].astype(arrays[name].dtype)

@@ -27,11 +27,14 @@ class Replayed:
     original: int  # index of the row that was moved
     transforms: Float[np.ndarray, "S 6"]  # translation (m), rotation vector (rad)
     centre: Float[np.ndarray, "3"]  # m, what they turn about
+    states: Any  # the original's
+    setting: Setting
 
-    def places(self, step: int, points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-        """Where the original's points are at a step of the search, m."""
+    def places(self, step: int) -> tuple[Float[np.ndarray, "T1 N 3"], Float[np.ndarray, "T1 G 3"]]:
+        """Where the original's points, or bodies, and its hands are at a step of the search, m."""
         motion = RigidMotion.of(jnp.asarray(self.transforms[step]), jnp.asarray(self.centre))
-        return np.asarray(motion.points(jnp.asarray(points)))
+        bodies = np.asarray(self.setting.moved(self.states, motion).bodies())
+        return bodies[:, : self.states.passive], bodies[:, self.states.passive :]
 
 
 def original_of(dataset: Dataset, index: int) -> int:
@@ -63,9 +66,10 @@ def replayed(dataset: Dataset, index: int) -> Replayed:
     projection = replace(usual(task)[1], distance_tolerance=config["distance_tolerance"])
     setting = setting_of(task, Bounds(tuple(config["translation"]), tuple(config["rotation"])))
     validity = load_model(config["validity"])[0] if "validity" in config else any_transform
+    states = jax.tree.map(lambda leaf: leaf[0], dataset.states([original]))
     found = _searched(
         setting,
-        jax.tree.map(lambda leaf: leaf[0], dataset.states([original])),
+        states,
         jax.tree.map(lambda leaf: leaf[0], dataset.obstacles([original])) if task.scene.obstacles else None,
         jnp.asarray(dataset["target"][index]),
         projection,
@@ -73,7 +77,8 @@ def replayed(dataset: Dataset, index: int) -> Replayed:
         validity,
     )
     path, takes, centre = (np.asarray(one) for one in found)
-    return Replayed(original, np.concatenate([np.zeros((1, 6), path.dtype), path[:takes]]), centre)
+    transforms = np.concatenate([np.zeros((1, 6), path.dtype), path[:takes]])
+    return Replayed(original, transforms, centre, states, setting)
 
 
 @eqx.filter_jit

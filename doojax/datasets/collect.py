@@ -153,6 +153,7 @@ def _augmentation_of(config: dict[str, Any], out: Path) -> str:
     lists = {name: tuple(config[name]) for name in ("translation", "rotation")}
     plain = {name: config[name] for name in ("copies", "steps", "distance_tolerance", "seed")}
     plain |= {"validity": Path(config["validity"])} if "validity" in config else {}
+    plain |= {"tries": config.get("tries", 1)}
     given = {"data": Path(config["data"]), "out": out, "weights": weights, **lists, **plain}
     return command_line(function, given)
 

@@ -29,7 +29,7 @@ class AugmentationView:
         self._dataset, self._index = dataset, 0
         self.beside: int | None = None  # index of the row that is shown as a ghost
         self._ghost: Episode | None = None  # that row
-        self._search: tuple[Replayed, Episode] | None = None  # and what was moved
+        self._search: Replayed | None = None
         self._originals = evenly(np.flatnonzero(dataset["verdict"][:] == Verdict.ORIGINAL))
         self._facts = gui.add_markdown("")
         self._choice = gui.add_dropdown("Beside it", (OWN, NEAREST, NOTHING))
@@ -41,9 +41,8 @@ class AugmentationView:
             again()
 
         def search() -> None:
-            found = replayed(dataset, self._index)
-            self._search = found, episode(dataset, found.original)
-            self._step.max, self._step.visible = len(found.transforms) - 1, True
+            self._search = replayed(dataset, self._index)
+            self._step.max, self._step.visible = len(self._search.transforms) - 1, True
             self._step.value = self._step.max
             again()
 
@@ -85,12 +84,11 @@ class AugmentationView:
         return positions(self._dataset, self._originals)
 
     def places(self, moment: float) -> tuple[np.ndarray, np.ndarray]:
-        """The rope's points and the grippers where the search is, m; a search has to have been asked for."""
+        """Points, or bodies, and grippers where the search is, m; a search has to have been asked for."""
         if self._search is None:
             raise ValueError("nothing was searched for: press Search again first")
-        (search, original), step = self._search, int(self._step.value)
-        points, grippers = between(original.points, moment), between(original.grippers, moment)
-        return search.places(step, points), search.places(step, grippers)
+        points, grippers = self._search.places(int(self._step.value))
+        return between(points, moment), between(grippers, moment)
 
     def show(self, drawing: Drawing, look: Look, moment: float) -> None:
         """Draw what stands beside the augmentation, and the step of its search."""

@@ -74,7 +74,7 @@ class Columns:
 
 def curves(dataset: Dataset) -> list[str]:
     """The fields with one number for each state or each action, faults aside."""
-    states = dataset.fields["points"].shape[0]
+    states = dataset.fields["actions"].shape[0] + 1
     along_time = [(states,), (states - 1,)]
     return [name for name, field in dataset.fields.items() if field.shape in along_time and name != "faults"]
 

@@ -126,6 +126,8 @@ class DatasetPage:
         self._arrange()
         self._facts.content = description
         meanings: dict[str, Colour | str] = {"rope": colours.ROPE, "earlier": "time"}
+        if self._shown[0].look.what == "bodies":
+            meanings = {"body": colours.ROPE, "its way": colours.OBSTACLE}
         if len(self._shown) > 1:
             rows = self._dataset.rows[chosen]
             meanings = {f"{row}": colour for row, colour in zip(rows, colours.OVERLAY, strict=False)}

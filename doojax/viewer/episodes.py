@@ -14,12 +14,13 @@ from doojax.types import Obstacles, ShapeKind
 from doojax.viewer import shapes
 
 NEEDED = ("points", "grippers")
+PUSHED = ("positions", "hand")  # or these, of bodies that a hand pushes
 UNKNOWN_LOOK = Look(rope_radius=0.01)
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """A rope, its grippers and what stands around, over T1 moments."""
+    """A rope, its grippers and what stands around, over T1 moments; or bodies and a hand that pushes them."""
 
     points: Float[np.ndarray, "T1 N 3"]  # m, world frame; NaN where the simulation failed
     grippers: Float[np.ndarray, "T1 G 3"]
@@ -74,7 +75,7 @@ def look_of(config: Mapping[str, Any]) -> tuple[Look, float]:
 def require_rope(dataset: Dataset) -> None:
     """Raise ValueError where a data set has nothing to show: no rope, or no complete shard."""
     missing = [name for name in NEEDED if name not in dataset.fields]
-    if missing:
+    if missing and not holds_pushing(dataset):
         raise ValueError(
             f"{dataset.path} holds no ropes: no field {' and no '.join(missing)}; it has "
             f"{', '.join(dataset.fields)}"
@@ -86,6 +87,16 @@ def require_rope(dataset: Dataset) -> None:
         )
 
 
+def holds_pushing(dataset: Dataset) -> bool:
+    """Is it a data set of bodies that a hand pushes?"""
+    return set(PUSHED) <= set(dataset.fields)
+
+
+def points_field(dataset: Dataset) -> str:
+    """What holds the places of what is shown, but for the hands."""
+    return PUSHED[0] if holds_pushing(dataset) else NEEDED[0]
+
+
 def episode(dataset: Dataset, index: int) -> Episode:
     """Trajectory ``index`` of a data set.
 
@@ -94,9 +105,10 @@ def episode(dataset: Dataset, index: int) -> Episode:
         ValueError: for a damaged chunk file, naming it.
     """
     look, period = look_of(dataset.config)
+    pushing = holds_pushing(dataset)
     return Episode(
-        points=dataset["points"][index],
-        grippers=dataset["grippers"][index],
+        points=dataset[points_field(dataset)][index],
+        grippers=dataset["hand"][index][:, None] if pushing else dataset["grippers"][index],
         obstacles=obstacles_of(dataset, index),
         look=look,
         period=period,

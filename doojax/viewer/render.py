@@ -11,7 +11,7 @@ from doojax.datasets.progress import announce
 from doojax.experiments.trials.record_files import load_record
 from doojax.experiments.trials.records import TrialRecord
 from doojax.viewer.arms import strip
-from doojax.viewer.episodes import require_rope
+from doojax.viewer.episodes import holds_pushing, points_field, require_rope
 from doojax.viewer.films import Film, film_of_prediction, film_of_trajectory, film_of_trial
 from doojax.viewer.pictures import animate, contact_sheet, frames
 from doojax.viewer.pouring import film_of_pour, film_of_pouring, holds_pouring
@@ -112,7 +112,8 @@ def write(film: Film, out: Path) -> None:
 
 
 def most_moving(dataset: Dataset, count: int) -> list[int]:
-    """Some trajectories, those whose tail travels farthest among the first of a data set, in stored order."""
-    tails = dataset["points"][: min(len(dataset), LOOKED_AT)][:, :, 0]
-    travelled = np.nan_to_num(np.linalg.norm(np.diff(tails, axis=1), axis=-1).sum(1))
+    """Some trajectories, in stored order: of the first of a data set, where tail or bodies travel most."""
+    places = dataset[points_field(dataset)][: min(len(dataset), LOOKED_AT)]
+    tails = places if holds_pushing(dataset) else places[:, :, :1]
+    travelled = np.nan_to_num(np.linalg.norm(np.diff(tails, axis=1), axis=-1).sum((1, 2)))
     return sorted(np.argsort(-travelled, kind="stable")[:count].tolist())

@@ -28,7 +28,9 @@ GHOST = 0.75  # opacity
 
 
 def gripper_radius(look: Look) -> float:
-    """Grippers are drawn thicker than they are, lest the rope hides them."""
+    """Grippers are drawn thicker than they are, lest the rope hides them; a hand that pushes is not."""
+    if look.what == "bodies":
+        return look.gripper_radius
     return 1.5 * max(look.gripper_radius, look.rope_radius)
 
 
@@ -51,8 +53,14 @@ def show_rope(
     colour: Colour = colours.ROPE,
     opacity: float = 1.0,
 ) -> None:
-    """A rope with its grippers; ``points`` are its links' centres. Of a container the outline."""
-    show_line(drawing, f"{name}/rope", points, grippers, look, colour=colour, opacity=opacity)
+    """A rope with its grippers; ``points`` are its links' centres. Of a container the outline.
+
+    Bodies that are pushed are seen from above, and so are balls.
+    """
+    if look.what == "bodies":
+        drawing.spheres(f"{name}/bodies", points, radius=look.rope_radius, colours=colour, opacity=opacity)
+    else:
+        show_line(drawing, f"{name}/rope", points, grippers, look, colour=colour, opacity=opacity)
     if look.what == "container":
         return
     drawing.spheres(
@@ -87,37 +95,44 @@ def show_episode(
     points, grippers = between(shown.points, moment), between(shown.grippers, moment)
     show_rope(drawing, "now", points, grippers, shown.look, colour=colour)
     if trail:
-        show_trail(drawing, "trail", shown.points, shown.grippers, int(moment))
+        show_trail(drawing, "trail", shown, int(moment))
     else:
         drawing.remove("trail")
 
 
-def show_trail(
-    drawing: Drawing,
-    name: str,
-    points: Float[np.ndarray, "T1 N 3"],
-    grippers: Float[np.ndarray, "T1 G 3"],
-    until: int,
-) -> None:
-    """Earlier ropes as thin lines, pale to dark, and the grippers' ways, up to a state."""
+def show_trail(drawing: Drawing, name: str, shown: Episode, until: int) -> None:
+    """Up to a state, earlier ropes as thin lines, pale to dark, or ways of bodies; and of the grippers."""
+    if shown.look.what == "bodies":
+        show_ways(drawing, f"{name}/bodies", shown.points[: until + 1], colours.OBSTACLE)
+    else:
+        show_earlier(drawing, f"{name}/ropes", shown.points, until)
+    show_ways(drawing, f"{name}/grippers", shown.grippers[: until + 1], colours.GRIPPER)
+
+
+def show_earlier(drawing: Drawing, name: str, points: Float[np.ndarray, "T1 N 3"], until: int) -> None:
+    """At most eight ropes before a state, pale to dark."""
     chosen = np.unique(np.linspace(0, until, 9).astype(int))[:-1]
     chosen = chosen[np.isfinite(points[chosen]).all((1, 2))]
     if not len(chosen):
-        drawing.remove(f"{name}/ropes")
+        drawing.remove(name)
+        return
+    curves = [smooth(points[moment]) for moment in chosen]
+    tint = colours.scale("time", 0.3 + 0.7 * chosen / max(len(points) - 1, 1))
+    drawing.lines(
+        name,
+        np.concatenate([segments_of(curve) for curve in curves]),
+        width=2.0,
+        colours=np.repeat(tint, [len(curve) - 1 for curve in curves], axis=0),
+    )
+
+
+def show_ways(drawing: Drawing, name: str, places: Float[np.ndarray, "T1 K 3"], colour: Colour) -> None:
+    """The ways of some balls as lines."""
+    ways = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 3)
+    if len(ways):
+        drawing.lines(name, ways, width=1.5, colours=colour)
     else:
-        curves = [smooth(points[moment]) for moment in chosen]
-        tint = colours.scale("time", 0.3 + 0.7 * chosen / max(len(points) - 1, 1))
-        drawing.lines(
-            f"{name}/ropes",
-            np.concatenate([segments_of(curve) for curve in curves]),
-            width=2.0,
-            colours=np.repeat(tint, [len(curve) - 1 for curve in curves], axis=0),
-        )
-    ways = np.stack([grippers[:until], grippers[1 : until + 1]], axis=2).reshape(-1, 2, 3)
-    if not len(ways):
-        drawing.remove(f"{name}/grippers")
-    else:
-        drawing.lines(f"{name}/grippers", ways, width=1.5, colours=colours.GRIPPER)
+        drawing.remove(name)
 
 
 def segments_of(curve: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K-1 2 3"]:

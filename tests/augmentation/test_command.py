@@ -147,10 +147,21 @@ def test_bounds_and_tolerance_are_the_tasks_own():
     assert pushing[1].distance_tolerance < ropes[1].distance_tolerance
 
 
+def test_of_several_targets_that_is_taken_which_makes_transforms_uniform(folder, tmp_path):
+    for tries in (1, 4):
+        augment_dataset(folder / "data", out=tmp_path / str(tries), copies=12, tries=tries)
+    once, often = opened(tmp_path / "1"), opened(tmp_path / "4")
+    assert (often["verdict"][:] == Verdict.ACCEPTED).sum() >= (once["verdict"][:] == Verdict.ACCEPTED).sum()
+    assert diversity(often).accepted < 0.5 * diversity(once).accepted
+    line = command_of(often.manifest, tmp_path / "again")
+    assert line is not None and parsed(line)[0][1]["tries"] == 4
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"copies": 0}, "copies is 0, expected at least 1"),
+        ({"tries": 0}, "tries is 0, expected at least 1"),
         ({"steps": 4}, "steps is 4, expected 1 to 3, as many as the trajectories have"),
         ({"translation": (0.0, 0.0, 0.1), "rotation": (0.1, 0.0, 0.0)}, "the range of transforms is zero"),
         ({"seed": -1}, "the seed is -1"),

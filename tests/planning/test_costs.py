@@ -7,8 +7,8 @@ import pytest
 
 from doojax.planning import costs
 
-HANDS = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 7.0]], np.float32)
-ORIGIN = np.zeros(3, np.float32)
+HANDS = jnp.array([[3.0, 4.0, 0.0], [0.0, 0.0, 7.0]])
+ORIGIN = jnp.zeros(3)
 
 
 @pytest.mark.parametrize(

@@ -117,10 +117,10 @@ def augmentation_study(
     with training_progress(console, "propnet") as report:
         models = fit(problem, config, seed=seed, run=run, members=members, report=report)
     found = [measured(member(models, index), test) for index in range(config.members)]
-    tags = {"task": TASK, "trajectories": trajectories}
-    learned = tags | {"preset": preset, "steps": config.epochs * chosen.steps}
+    tags = {"task": TASK, "trajectories": trajectories, "preset": preset}
+    tags |= {"steps": config.epochs * chosen.steps, "seed": seed}  # which says what they are measured on
     rows = [row("position_error_m", tags | {"method": "nothing_moves"}, stay_error(test), "m")]
-    rows += _rows(methods, seeds, learned, found)
+    rows += _rows(methods, seeds, tags, found)
     share = counts.reshape(seeds, len(methods)) / trajectories
     for method, kept in zip(methods, share.T, strict=True):
         console.print(f"{method}: {kept.mean():.1f} trajectories to learn from for each that was simulated")

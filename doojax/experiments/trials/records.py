@@ -16,7 +16,7 @@ from doojax.types import Obstacles
 
 GridKind = Literal["distance", "occupancy"]
 EventKind = Literal["plan", "execute", "recover", "replan", "end"]
-What = Literal["rope", "container"]
+What = Literal["rope", "container", "bodies"]
 PLACE = 2  # among the points of a container: its own place; the first two are gauges, see `PouringState`
 OUTLINE = (2, 0, 1, 3)  # of its corners, as a way from rim to rim
 
@@ -30,7 +30,7 @@ class Look:
     gripper_radius: float = 0.02
     floor: float | None = 0.0  # its height; None where there is none
     what: What = "rope"
-    """What the bodies are: a rope's points and grippers, or what is seen of a container that pours."""
+    """A rope's points and grippers, what is seen of a container that pours, or bodies that a hand pushes."""
 
     @classmethod
     def of(cls, scene: Any) -> "Look":
@@ -38,6 +38,8 @@ class Look:
         hands = max((gripper.radius for gripper in scene.grippers), default=cls.gripper_radius)
         if scene.rope is None:
             what: What = "container" if isinstance(scene, PouringScene) else "rope"
+            if getattr(scene, "cylinders", ()):
+                what = "bodies"
             return cls(
                 scene.plane_height, gripper_radius=hands, floor=0.0 if scene.floor else None, what=what
             )
