@@ -1,4 +1,4 @@
-"""Of several augmentations of an example, one that makes accepted transforms uniform.
+"""Of several augmentations of an example, one that makes accepted transforms more uniform.
 
 The projection shortens transforms: targets are uniform, and what comes of them crowds about the identity. How
 much is learned from a few examples first; then several targets are tried for each augmentation, and of those

@@ -102,7 +102,7 @@ def augment_dataset(
         validity: a run of `doojax train validity` with the data's rope, which refuses transforms; by default
             all are valid, and those of ropes do not tilt.
         tries: targets tried for each augmentation. The projection shortens transforms; of several that are
-            accepted one is chosen so that not what is aimed at but what comes of it is uniform.
+            accepted one is chosen, so that not what is aimed at but what comes of it is nearly uniform.
         seed: of the transforms.
 
     Raises:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from doojax.datasets import Dataset
+from doojax.viewer.episodes import points_field
 
 REDUCTIONS = {"greatest": np.nanmax, "least": np.nanmin, "mean": np.nanmean}
 UNITS = {"stretch": ("%", 100.0), "clearance": ("mm", 1000.0)}  # for the eye: unit, factor to it
@@ -74,7 +75,7 @@ class Columns:
 
 def curves(dataset: Dataset) -> list[str]:
     """The fields with one number for each state or each action, faults aside."""
-    states = dataset.fields["actions"].shape[0] + 1
+    states = dataset.fields[points_field(dataset)].shape[0]
     along_time = [(states,), (states - 1,)]
     return [name for name, field in dataset.fields.items() if field.shape in along_time and name != "faults"]
 

@@ -126,16 +126,17 @@ class DatasetPage:
         self._arrange()
         self._facts.content = description
         meanings: dict[str, Colour | str] = {"rope": colours.ROPE, "earlier": "time"}
-        if self._shown[0].look.what == "bodies":
+        if self._shown[0].look.what == "body":
             meanings = {"body": colours.ROPE, "its way": colours.OBSTACLE}
         if len(self._shown) > 1:
             rows = self._dataset.rows[chosen]
             meanings = {f"{row}": colour for row, colour in zip(rows, colours.OVERLAY, strict=False)}
         if self._augmentation is not None:
             meanings |= {"what is beside it": colours.CHOSEN, "searched for": colours.PREDICTION}
-        self._legend.content = legend(
-            {**meanings, "gripper, its way": colours.GRIPPER, "obstacle": colours.OBSTACLE}
-        )
+        meanings |= {"gripper, its way": colours.GRIPPER}
+        if self._shown[0].obstacles.kind.shape[0]:
+            meanings |= {"obstacle": colours.OBSTACLE}
+        self._legend.content = legend(meanings)
         for name, plot in self._plots.items():
             plot.set({name: shown_as(name)[1] * values[name]})
         self.player.set_states(max(len(one.points) for one in self._shown))

@@ -81,7 +81,7 @@ def still(shown: Episode, width: int, height: int) -> Pixels:
             last = moment == chosen[-1]
             radius = shown.look.rope_radius * (1.0 if last else 0.7)
             tint = (int(colour[0]), int(colour[1]), int(colour[2]))
-            if shown.look.what == "bodies":
+            if shown.look.what == "body":
                 painting.spheres(f"bodies/{moment}", shown.points[moment], radius=radius, colours=tint)
             else:
                 painting.rope(f"rope/{moment}", shown.ropes[moment], radius=radius, colour=tint)

@@ -29,7 +29,7 @@ GHOST = 0.75  # opacity
 
 def gripper_radius(look: Look) -> float:
     """Grippers are drawn thicker than they are, lest the rope hides them; a hand that pushes is not."""
-    if look.what == "bodies":
+    if look.what == "body":
         return look.gripper_radius
     return 1.5 * max(look.gripper_radius, look.rope_radius)
 
@@ -53,14 +53,8 @@ def show_rope(
     colour: Colour = colours.ROPE,
     opacity: float = 1.0,
 ) -> None:
-    """A rope with its grippers; ``points`` are its links' centres. Of a container the outline.
-
-    Bodies that are pushed are seen from above, and so are balls.
-    """
-    if look.what == "bodies":
-        drawing.spheres(f"{name}/bodies", points, radius=look.rope_radius, colours=colour, opacity=opacity)
-    else:
-        show_line(drawing, f"{name}/rope", points, grippers, look, colour=colour, opacity=opacity)
+    """A rope with its grippers; ``points`` are its links' centres. See `show_line` for what is none."""
+    show_line(drawing, f"{name}/rope", points, grippers, look, colour=colour, opacity=opacity)
     if look.what == "container":
         return
     drawing.spheres(
@@ -78,7 +72,13 @@ def show_line(
     colour: Colour,
     opacity: float = 1.0,
 ) -> None:
-    """A rope without its grippers, or a container's outline from rim to rim."""
+    """A rope without its grippers, a container's outline from rim to rim, or bodies as balls.
+
+    Bodies are seen from above.
+    """
+    if look.what == "body":
+        drawing.spheres(name, points, radius=look.rope_radius, colours=colour, opacity=opacity)
+        return
     line, _ = solid_of(points, grippers, look)
     if look.what == "container":
         drawing.lines(name, segments_of(line), width=5.0, colours=colour)
@@ -102,7 +102,7 @@ def show_episode(
 
 def show_trail(drawing: Drawing, name: str, shown: Episode, until: int) -> None:
     """Up to a state, earlier ropes as thin lines, pale to dark, or ways of bodies; and of the grippers."""
-    if shown.look.what == "bodies":
+    if shown.look.what == "body":
         show_ways(drawing, f"{name}/bodies", shown.points[: until + 1], colours.OBSTACLE)
     else:
         show_earlier(drawing, f"{name}/ropes", shown.points, until)

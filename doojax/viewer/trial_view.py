@@ -298,7 +298,7 @@ class TrialView:
         executed = {f"{what}, executed": self._colour, "as planned": colours.PREDICTION}
         meanings: dict[str, Colour | str] = dict(executed)
         meanings |= {name: colours.method_colour(name) for name in self._others}
-        meanings |= {name: SAME[name] for name in SAME if what == "rope" or name == "chosen path"}
+        meanings |= {name: SAME[name] for name in SAME if what != "container" or name == "chosen path"}
         meanings |= {"obstacle": colours.OBSTACLE}
         if recovering(record).any():
             meanings["recoveries"] = colours.RECOVERY

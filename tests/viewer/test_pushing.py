@@ -56,7 +56,7 @@ def test_bodies_and_hand_are_where_they_are_and_their_ways_behind_them(pushed):
     film, drawing = film_of_trajectory(dataset, index), Noted()
     assert film.planar and film.states == 30
     film.show(drawing, 12.5)
-    bodies, radius = drawing.spheres_["now/bodies"]
+    bodies, radius = drawing.spheres_["now/rope"]
     np.testing.assert_allclose(bodies, (places[12] + places[13]) / 2, atol=1e-7)
     assert radius == pytest.approx(RADIUS)
     grippers, radius = drawing.spheres_["now/grippers"]
@@ -106,6 +106,6 @@ def test_an_augmentation_of_pushing_stands_beside_its_original(view, pushed):
     look.enter("Trajectory", index)
     look.wait_for("accepted")
     (drawing,) = app._content._drawings
-    look.until(lambda: any(key.startswith("beside/bodies") for key in drawing._handles))
+    look.until(lambda: any(key.startswith("beside/rope") for key in drawing._handles))
     look.page.get_by_role("button", name="Search again").click()
-    look.until(lambda: any(key.startswith("search/bodies") for key in drawing._handles))
+    look.until(lambda: any(key.startswith("search/rope") for key in drawing._handles))

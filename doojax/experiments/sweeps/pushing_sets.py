@@ -29,7 +29,8 @@ PROJECTED = {  # by the weights of the objective; a weight of 0 leaves a gradien
     "no_occupancy": Weights(occupancy=0.0),
     "no_distance": Weights(distance=0.0),
 }
-METHODS = ("none", *PROJECTED, "noise", "random", "vae")
+METHODS = ("none", *PROJECTED, "whole", "noise", "random", "vae")
+ASIDE = 0.05  # m, either way along each axis: how far a whole scene is moved
 VAE, VAE_STEPS = FitConfig(epochs=20, batch_size=32, checkpoint_every=5), 50  # an epoch's
 VAE_WIDTH = 256  # of hidden layers and of the latent numbers; the thesis's have 1,000
 
@@ -69,6 +70,7 @@ def _made(method: str, one: PushingSet, task: Task, copies: int, seed: int, vaes
     own = one.own
     repeated = jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, axis=0), own)
     makers: dict[str, Callable[[], PushingData]] = {
+        "whole": lambda: moved_whole(repeated, key),
         "noise": lambda: noisy(repeated, key),
         "random": lambda: _moved(one.data, task, copies, key),
         "vae": lambda: varied(member(vaes, one.number), repeated, jax.random.split(key, len(repeated))),
@@ -106,6 +108,23 @@ def _projected(method: str, one: PushingSet, copies: int) -> PushingData:
     augmented = Dataset.open(path)
     kept = np.flatnonzero(np.isin(augmented["verdict"][:], (Verdict.ORIGINAL, Verdict.ACCEPTED)))
     return PushingData.of(augmented.states(kept))
+
+
+def moved_whole(data: PushingData, key: jax.Array) -> PushingData:
+    """Each trajectory with all that stands there, turned by any angle and moved a little.
+
+    Valid without a check: the table is the same everywhere and in all directions.
+    """
+    angle_key, way_key = jax.random.split(key)
+    angle = jax.random.uniform(angle_key, (len(data),), minval=-jnp.pi, maxval=jnp.pi)
+    way = jax.random.uniform(way_key, (len(data), 1, 1, 2), minval=-ASIDE, maxval=ASIDE)
+    cosine, sine = (part(angle)[:, None, None] for part in (jnp.cos, jnp.sin))
+
+    def turned(vectors: jax.Array) -> jax.Array:
+        x, y = vectors[..., 0], vectors[..., 1]
+        return jnp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+    return PushingData(turned(data.places) + way, turned(data.moves))
 
 
 def noisy(data: PushingData, key: jax.Array) -> PushingData:

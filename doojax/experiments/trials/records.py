@@ -16,7 +16,7 @@ from doojax.types import Obstacles
 
 GridKind = Literal["distance", "occupancy"]
 EventKind = Literal["plan", "execute", "recover", "replan", "end"]
-What = Literal["rope", "container", "bodies"]
+What = Literal["rope", "container", "body"]
 PLACE = 2  # among the points of a container: its own place; the first two are gauges, see `PouringState`
 OUTLINE = (2, 0, 1, 3)  # of its corners, as a way from rim to rim
 
@@ -39,7 +39,7 @@ class Look:
         if scene.rope is None:
             what: What = "container" if isinstance(scene, PouringScene) else "rope"
             if getattr(scene, "cylinders", ()):
-                what = "bodies"
+                what = "body"
             return cls(
                 scene.plane_height, gripper_radius=hands, floor=0.0 if scene.floor else None, what=what
             )

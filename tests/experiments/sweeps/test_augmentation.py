@@ -7,7 +7,7 @@ import pytest
 from doojax.augmentation.objectives import Weights
 from doojax.experiments.sweeps import augmentation
 from doojax.experiments.sweeps.augmentation import augmentation_study
-from doojax.experiments.sweeps.pushing_sets import MOVE_NOISE, PLACE_NOISE, PROJECTED, noisy
+from doojax.experiments.sweeps.pushing_sets import MOVE_NOISE, PLACE_NOISE, PROJECTED, moved_whole, noisy
 from doojax.keys import stream
 from doojax.learning.pushing import PushingData
 
@@ -17,6 +17,19 @@ def test_noise_is_as_large_as_the_released_codes():
     made = noisy(still, stream(0, "test"))
     assert float(made.places.std()) == pytest.approx(PLACE_NOISE, rel=0.02)
     assert float(made.moves.std()) == pytest.approx(MOVE_NOISE, rel=0.02)
+
+
+def test_a_whole_scene_is_moved_rigidly():
+    places = jnp.asarray(np.random.default_rng(0).uniform(-0.1, 0.1, (40, 5, 10, 2)), jnp.float32)
+    data = PushingData(places, places[:, 1:] - places[:, :-1])
+    made = moved_whole(data, stream(0, "test"))
+    gaps = [np.linalg.norm(one[:, :, :, None] - one[:, :, None], axis=-1) for one in (made.places, places)]
+    np.testing.assert_allclose(*gaps, atol=1e-6)  # whatever pushes whatever does so as before
+    np.testing.assert_allclose(made.places[:, 1:] - made.places[:, :-1], made.moves, atol=1e-6)
+    way = made.places[:, 0, 1] - made.places[:, 0, 0]
+    before = places[:, 0, 1] - places[:, 0, 0]
+    angle = np.angle(np.asarray((way[:, 0] + 1j * way[:, 1]) / (before[:, 0] + 1j * before[:, 1])))
+    assert angle.min() < -2.5 and angle.max() > 2.5 and abs(angle.mean()) < 1
 
 
 def test_an_ablation_leaves_one_gradient_out():
