@@ -62,7 +62,8 @@ def augmentation_study(
         out: the folder of data and of the training run; new, empty, or the same study unfinished.
         methods: none, augmentation (moved rigidly to where it is valid), the same without the gradient of one
             term (no_occupancy, no_distance), whole (all that stands there moved, too, which needs no check),
-            noise (Gaussian), random (moved rigidly, valid or not), vae (a variational autoencoder of each set).
+            noise (Gaussian), random (moved rigidly, valid or not), vae (a variational autoencoder of each
+            set).
         seeds: sets of trajectories, and networks for each method.
         trajectories: of a set.
         copies: made of each trajectory by a method that makes any; of augmentations, those accepted count.
