@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from doojax.augmentation.examples import Augmented
+from doojax.datasets.diversity import CELLS
 from doojax.types import Verdict
-
-CELLS = 10  # of an axis
 
 
 def rarity(transforms: Float[np.ndarray, "N 6"], bounds: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6 10"]:

@@ -27,14 +27,13 @@ class Replayed:
     original: int  # index of the row that was moved
     transforms: Float[np.ndarray, "S 6"]  # translation (m), rotation vector (rad)
     centre: Float[np.ndarray, "3"]  # m, what they turn about
-    states: Any  # the original's
-    setting: Setting
+    bodies: Float[np.ndarray, "S T1 K 3"]  # m, of the original, at each transform; hands last
+    passive: int  # how many of them are no hands
 
     def places(self, step: int) -> tuple[Float[np.ndarray, "T1 N 3"], Float[np.ndarray, "T1 G 3"]]:
         """Where the original's points, or bodies, and its hands are at a step of the search, m."""
-        motion = RigidMotion.of(jnp.asarray(self.transforms[step]), jnp.asarray(self.centre))
-        bodies = np.asarray(self.setting.moved(self.states, motion).bodies())
-        return bodies[:, : self.states.passive], bodies[:, self.states.passive :]
+        points, hands = np.split(self.bodies[step], [self.passive], axis=1)
+        return points, hands
 
 
 def original_of(dataset: Dataset, index: int) -> int:
@@ -76,9 +75,9 @@ def replayed(dataset: Dataset, index: int) -> Replayed:
         Weights(**config["weights"]),
         validity,
     )
-    path, takes, centre = (np.asarray(one) for one in found)
-    transforms = np.concatenate([np.zeros((1, 6), path.dtype), path[:takes]])
-    return Replayed(original, transforms, centre, states, setting)
+    transforms, takes, centre, bodies = (np.asarray(one) for one in found)
+    steps = 1 + int(takes)
+    return Replayed(original, transforms[:steps], centre, bodies[:steps], states.passive)
 
 
 @eqx.filter_jit
@@ -90,6 +89,10 @@ def _searched(
     config: ProjectionConfig,
     weights: Weights,
     validity: Term,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     problem = problem_of(setting, setting.movable(states, obstacles))
-    return *projection_path(problem, target, config, weights, validity), problem.centre
+    path, takes = projection_path(problem, target, config, weights, validity)
+    transforms = jnp.concatenate([jnp.zeros((1, 6), path.dtype), path])
+    motions = jax.vmap(RigidMotion.of, (0, None))(transforms, problem.centre)
+    bodies = jax.vmap(lambda motion: setting.moved(states, motion).bodies())(motions)
+    return transforms, takes, problem.centre, bodies

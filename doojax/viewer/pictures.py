@@ -16,7 +16,7 @@ from doojax.viewer.films import FROM_SIDE as FROM_SIDE
 from doojax.viewer.films import Film
 from doojax.viewer.paint import Painting, Pixels, font
 from doojax.viewer.raycast import Camera
-from doojax.viewer.show import gripper_radius
+from doojax.viewer.show import gripper_radius, show_ways
 
 UP = np.array([0.0, 0.0, 1.0])
 MARGIN = 1.08  # of a picture's span to that of its contents
@@ -190,9 +190,7 @@ def camera_from(
 
 def draw_tracks(painting: Painting, shown: Episode, until: int) -> None:
     """The ways of the grippers up to a moment."""
-    tracks = shown.grippers[: until + 1]
-    segments = np.stack([tracks[:-1], tracks[1:]], axis=2).reshape(-1, 2, 3)
-    painting.lines("tracks", segments, width=1.0, colours=colours.GRIPPER)
+    show_ways(painting, "tracks", shown.grippers[: until + 1], colours.GRIPPER, width=1.0)
 
 
 def framed(pixels: Pixels, caption: str, time: float, end: float) -> UInt8[np.ndarray, "h2 w 3"]:

@@ -126,11 +126,13 @@ def show_earlier(drawing: Drawing, name: str, points: Float[np.ndarray, "T1 N 3"
     )
 
 
-def show_ways(drawing: Drawing, name: str, places: Float[np.ndarray, "T1 K 3"], colour: Colour) -> None:
+def show_ways(
+    drawing: Drawing, name: str, places: Float[np.ndarray, "T1 K 3"], colour: Colour, width: float = 1.5
+) -> None:
     """The ways of some balls as lines."""
     ways = np.stack([places[:-1], places[1:]], axis=2).reshape(-1, 2, 3)
     if len(ways):
-        drawing.lines(name, ways, width=1.5, colours=colour)
+        drawing.lines(name, ways, width=width, colours=colour)
     else:
         drawing.remove(name)
 
